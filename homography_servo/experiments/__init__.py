@@ -1,0 +1,1 @@
+"""Trials, figures and measurements."""

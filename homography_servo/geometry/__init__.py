@@ -1,0 +1,1 @@
+"""Cameras, homographies, poses and paths; numpy and scipy only."""

@@ -1,0 +1,1 @@
+"""Starting the nodes of a configuration, by script or by launch file."""

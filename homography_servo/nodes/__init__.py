@@ -1,0 +1,1 @@
+"""Thin ROS adapters; the only folder, with launch, that imports ROS."""

@@ -1,0 +1,1 @@
+"""The arm: robot file, kinematics, limits, the serial link and its emulator."""
