@@ -36,3 +36,7 @@ class ConfigError(ServoError):
         self.line = line
         self.key = key
         self.reason = reason
+
+
+class HardwareError(ServoError):
+    """A device is not there, or somebody else holds it; the program ends with code 3."""

@@ -1,0 +1,172 @@
+"""
+What all nodes share: guarded callbacks, steady timers, counters, diagnostics.
+
+No data may end a process: an exception in a callback is counted, logged at most
+once a second per kind, and handed to `NodeKit.on_fault`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+import functools
+import time
+from typing import Any, Callable, NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import KeyValue
+from rclpy.clock import Clock
+from rclpy.clock import ClockType
+from rclpy.qos import DurabilityPolicy
+from rclpy.qos import QoSProfile
+from rclpy.qos import ReliabilityPolicy
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+COMMANDS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
+                     durability=DurabilityPolicy.TRANSIENT_LOCAL)
+DEFAULT = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+COMPLAINT_PERIOD_S = 1.0
+
+
+def images_qos(reliable: bool) -> QoSProfile:
+    """Give the quality of service of images: depth 5, best effort unless asked."""
+    policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+    return QoSProfile(depth=5, reliability=policy)
+
+
+class Health(NamedTuple):
+    """One part of a node for ``/diagnostics``."""
+
+    part: str
+    level: bytes
+    message: str
+    values: dict[str, Any] = {}
+
+
+class NodeKit:
+    """
+    Mixed into a node class; call `start_kit` at the end of ``__init__``.
+
+    A subclass sets ``NAME``, ``SETTINGS`` (settings classes) and ``EXAMPLE``, and
+    may override `diagnose`, `on_fault`, `on_signal` and `close`.
+    """
+
+    NAME = ''
+    SETTINGS: tuple = ()
+    exit_code: int | None = None
+
+    @functools.cached_property
+    def counts(self) -> Counter:
+        """Give the counters that go into the diagnostics."""
+        return Counter()
+
+    @functools.cached_property
+    def _complained_s(self) -> dict[str, float]:
+        return {}
+
+    def start_kit(self) -> None:
+        """Begin to publish diagnostics."""
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', DEFAULT)
+        self.every(1.0, self._publish_diagnostics)
+
+    def on_finish(self) -> None:
+        """Wake the spin loop; replaced by the process that runs the node."""
+
+    def diagnose(self) -> list[Health]:
+        """List the health of the node's parts; override."""
+        return []
+
+    def on_fault(self, error: Exception) -> None:
+        """Bring the node into a safe state after a callback failed; override."""
+
+    def on_signal(self) -> None:
+        """Act at once on SIGINT or SIGTERM, from another thread; override."""
+
+    def close(self) -> None:
+        """Release what the node holds, before it is destroyed; override."""
+
+    def finish(self, code: int) -> None:
+        """End the process with an exit code."""
+        self.exit_code = code
+        self.on_finish()
+
+    def listen(self, kind: type, topic: str, callback: Callable, qos: Any = DEFAULT,
+               raw: bool = False) -> Any:
+        """Subscribe with a guarded callback."""
+        return self.create_subscription(kind, topic, self.guarded(callback), qos, raw=raw)
+
+    def serve(self, kind: type, name: str, callback: Callable[[Any], tuple[bool, str]]) -> Any:
+        """Offer a Trigger or SetBool service; the callback gives success and sentence."""
+        def answer(request: Any, response: Any) -> Any:
+            try:
+                response.success, response.message = callback(request)
+            except Exception as error:  # an operator must always get an answer
+                self._failed(callback, error)
+                response.success, response.message = False, f'internal error: {error}'
+            return response
+        return self.create_service(kind, name, answer)
+
+    def every(self, period_s: float, callback: Callable[[], None]) -> Any:
+        """Call a function periodically by the steady clock, whatever ROS time does."""
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        return self.create_timer(period_s, self.guarded(callback), clock=clock)
+
+    def latched(self, kind: type, topic: str) -> Any:
+        """Make a publisher whose last message reaches late subscribers."""
+        return self.create_publisher(kind, topic, LATCHED)
+
+    def guarded(self, callback: Callable) -> Callable:
+        """Wrap a callback so that no exception leaves it."""
+        @functools.wraps(callback)
+        def guard(*args: Any) -> None:
+            try:
+                callback(*args)
+            except Exception as error:  # an exception here would end spin()
+                self._failed(callback, error)
+        return guard
+
+    def count(self, what: str, number: int = 1) -> None:
+        """Add to a counter shown in the diagnostics."""
+        self.counts[what] += number
+
+    def complain(self, sentence: str, key: str = '') -> None:
+        """Log a warning, at most once a second for the same key."""
+        now_s = time.monotonic()
+        if now_s - self._complained_s.get(key or sentence, -COMPLAINT_PERIOD_S) \
+                >= COMPLAINT_PERIOD_S:
+            if len(self._complained_s) > 1000:  # sentences with numbers must not pile up
+                self._complained_s.clear()
+            self._complained_s[key or sentence] = now_s
+            self.get_logger().warning(sentence)
+
+    def reject(self, what: str, reason: str) -> None:
+        """Count bad input and say why it was left out."""
+        self.count(f'rejected_{what}')
+        self.complain(f'{what} ignored: {reason}', key=what)
+
+    def _failed(self, callback: Callable, error: Exception) -> None:
+        name = getattr(callback, '__name__', 'callback')
+        self.count('internal_errors')
+        self.complain(f'{name} failed: {type(error).__name__}: {error}', key=name)
+        self.on_fault(error)
+
+    def _publish_diagnostics(self) -> None:
+        message = DiagnosticArray()
+        message.header.stamp = self.get_clock().now().to_msg()
+        counted = Health('counters', WARN if self.counts['internal_errors'] else OK,
+                         'counts since start', dict(self.counts))
+        message.status = [status_msg(self.get_name(), item)
+                          for item in [*self.diagnose(), counted]]
+        self._diagnostics.publish(message)
+
+
+def status_msg(node_name: str, health: Health) -> DiagnosticStatus:
+    """Turn the health of one part into a message."""
+    values = [KeyValue(key=str(k), value=_shown(v)) for k, v in health.values.items()]
+    return DiagnosticStatus(name=f'{node_name}: {health.part}', level=health.level,
+                            message=health.message, hardware_id=node_name, values=values)
+
+
+def _shown(value: Any) -> str:
+    return f'{value:.6g}' if isinstance(value, float) else str(value)

@@ -1,0 +1,141 @@
+"""
+Run one node as a process: signals, allocator, spin loop, exit code.
+
+rclpy's own signal handling shuts the context down before a node can say a last
+word, so this module installs its own. A signal reaches `NodeKit.on_signal` within
+a millisecond, from a thread that waits for it, whatever the executor is doing.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import socket
+import sys
+import threading
+from typing import Callable, Sequence
+
+from homography_servo.errors import ConfigError
+from homography_servo.errors import HardwareError
+from homography_servo.errors import ServoError
+from homography_servo.nodes.help import help_text
+import rclpy
+from rclpy.exceptions import InvalidParameterException
+from rclpy.exceptions import InvalidParameterTypeException
+from rclpy.exceptions import InvalidParameterValueException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+EXIT_OK, EXIT_FAILED, EXIT_CONFIG, EXIT_HARDWARE = 0, 1, 2, 3
+_BAD_PARAMETER = (
+    InvalidParameterException, InvalidParameterTypeException, InvalidParameterValueException)
+_LAST_RESORT_S = 2.0
+
+
+def tune_allocator() -> None:
+    """
+    Keep image-sized blocks in the heap instead of mapping each anew.
+
+    Nearly halves the latency of images with glibc; does nothing elsewhere.
+    """
+    try:
+        libc = ctypes.CDLL('libc.so.6')
+        for option, size in ((-1, 1 << 28), (-2, 1 << 26), (-3, 1 << 25)):
+            libc.mallopt(option, size)  # M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_THRESHOLD
+    except (OSError, AttributeError):
+        pass
+
+
+class SignalWatch:
+    """Turn SIGINT and SIGTERM into an event and immediate calls from a thread."""
+
+    def __init__(self) -> None:
+        self.stopped = threading.Event()
+        self._hooks: list[Callable[[], object]] = []
+        self._reader, self._writer = socket.socketpair()
+        self._writer.setblocking(False)
+        signal.set_wakeup_fd(self._writer.fileno(), warn_on_full_buffer=False)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: None)
+        threading.Thread(target=self._wait, name='signals', daemon=True).start()
+
+    def on_stop(self, hook: Callable[[], object]) -> None:
+        """Call a function as soon as a signal comes, or now if one has come."""
+        self._hooks.append(hook)
+        if self.stopped.is_set():
+            hook()
+
+    def _wait(self) -> None:
+        while self._reader.recv(1)[0] not in (signal.SIGINT, signal.SIGTERM):
+            pass
+        self.stopped.set()
+        for hook in list(self._hooks):
+            hook()
+
+
+def run_node(node_type: type, args: Sequence[str] | None = None) -> int:
+    """
+    Make a node, spin it until a signal or its own end, and tell how it went.
+
+    Parameters
+    ----------
+    node_type : type
+        A node class with `NodeKit` mixed in.
+    args : list of str, optional
+        Command line without the program's name.
+
+    Returns
+    -------
+    int
+        0 done, 1 failed, 2 bad configuration, 3 hardware not there.
+
+    """
+    words = list(sys.argv[1:] if args is None else args)
+    if {'-h', '--help'} & set(words):
+        print(help_text(node_type))
+        return EXIT_OK
+    tune_allocator()
+    watch = SignalWatch()
+    try:
+        rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # rcl raises its own kinds for YAML it cannot read
+        return _say(error, EXIT_CONFIG)
+    try:
+        return _run(node_type, watch)
+    finally:
+        _force_exit_later()
+        rclpy.try_shutdown()
+
+
+def _run(node_type: type, watch: SignalWatch) -> int:
+    try:
+        node = node_type()
+    except (ConfigError, *_BAD_PARAMETER) as error:
+        return _say(error, EXIT_CONFIG)
+    except HardwareError as error:
+        return _say(error, EXIT_HARDWARE)
+    except ServoError as error:
+        return _say(error, EXIT_FAILED)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    watch.on_stop(node.on_signal)
+    watch.on_stop(executor.wake)
+    node.on_finish = executor.wake
+    while not watch.stopped.is_set() and node.exit_code is None:
+        executor.spin_once(timeout_sec=1.0)
+    node.close()
+    node.destroy_node()
+    return EXIT_OK if node.exit_code is None else node.exit_code
+
+
+def _say(error: Exception, code: int) -> int:
+    print(error, file=sys.stderr, flush=True)
+    return code
+
+
+def _force_exit_later() -> None:
+    """End the process even if the middleware's teardown hangs."""
+    guard = threading.Timer(_LAST_RESORT_S, os._exit, (EXIT_FAILED,))
+    guard.daemon = True
+    guard.start()
