@@ -1,0 +1,231 @@
+"""
+Rigid motions: SE(3) and its twists, on single matrices or stacks of them.
+
+Conventions
+-----------
+``a_from_b`` is a (4, 4) matrix that maps coordinates in b to coordinates in a.
+A twist is (vx, vy, vz, wx, wy, wz): linear part first, the order of ROS.
+
+Two kinds of six numbers between two poses are used, and must not be mixed up:
+
+- a *screw* (`log_transform`, `screw_between`) is one motion along and about a
+  fixed axis; its linear part is the velocity of the point at the parent's origin;
+- a *difference* (`pose_difference`) keeps translation of the object's origin and
+  rotation apart. Covariances of poses are covariances of this difference.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+_SMALL_RAD = 0.1  # below it the series is more exact than the closed form
+
+
+def transform(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """Build ``a_from_b`` (..., 4, 4) from a rotation (..., 3, 3) and a translation (..., 3)."""
+    rotation, translation = np.asarray(rotation, float), np.asarray(translation, float)
+    if rotation.shape[-2:] != (3, 3) or translation.shape[-1:] != (3,):
+        raise ValueError('rotation must have shape (..., 3, 3) and translation (..., 3), '
+                         f'got {rotation.shape} and {translation.shape}')
+    stack = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    a_from_b = np.zeros((*stack, 4, 4))
+    a_from_b[..., :3, :3] = rotation
+    a_from_b[..., :3, 3] = translation
+    a_from_b[..., 3, 3] = 1.0
+    return a_from_b
+
+
+def inverse(a_from_b: np.ndarray) -> np.ndarray:
+    """Invert transforms (..., 4, 4) without a linear solver."""
+    a_from_b = _transforms(a_from_b)
+    back = np.swapaxes(a_from_b[..., :3, :3], -1, -2)
+    return transform(back, -(back @ a_from_b[..., :3, 3:])[..., 0])
+
+
+def transform_points(a_from_b: np.ndarray, points_b: np.ndarray) -> np.ndarray:
+    """Map points (N, 3) through transforms (..., 4, 4) to (..., N, 3)."""
+    a_from_b = _transforms(a_from_b)
+    turned = points_b @ np.swapaxes(a_from_b[..., :3, :3], -1, -2)
+    return turned + a_from_b[..., None, :3, 3]
+
+
+def skew(vector: np.ndarray) -> np.ndarray:
+    """Give the matrices (..., 3, 3) with ``skew(v) @ w == cross(v, w)``."""
+    vector = np.asarray(vector, float)
+    matrix = np.zeros((*vector.shape, 3))
+    matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0] = np.moveaxis(vector, -1, 0)
+    return matrix - np.swapaxes(matrix, -1, -2)
+
+
+def exp_twist(twist: np.ndarray) -> np.ndarray:
+    """
+    Move along a screw: the exponential map of SE(3).
+
+    Parameters
+    ----------
+    twist : (..., 6) array
+        Linear part [m] and rotation vector [rad].
+
+    Returns
+    -------
+    (..., 4, 4) array
+        The rigid motion.
+
+    References
+    ----------
+    Murray, Li and Sastry, A Mathematical Introduction to Robotic Manipulation, eq. (2.36).
+
+    """
+    twist = _twists(twist)
+    angle_rad = np.linalg.norm(twist[..., 3:], axis=-1)[..., None, None]
+    cross = skew(twist[..., 3:])
+    half_sinc = np.sinc(angle_rad / (2.0 * np.pi))
+    spiral = np.eye(3) + 0.5 * half_sinc**2 * cross + _cubic(angle_rad) * (cross @ cross)
+    return transform(_rotations(twist[..., 3:]), (spiral @ twist[..., :3, None])[..., 0])
+
+
+def log_transform(a_from_b: np.ndarray) -> np.ndarray:
+    """
+    Find the screw of a rigid motion: the inverse of `exp_twist`.
+
+    Parameters
+    ----------
+    a_from_b : (..., 4, 4) array
+        Rigid motions.
+
+    Returns
+    -------
+    (..., 6) array
+        Twists with a rotation of at most pi.
+
+    """
+    a_from_b = _transforms(a_from_b)
+    rotation_vector = rotation_log(a_from_b[..., :3, :3])
+    angle_rad = np.linalg.norm(rotation_vector, axis=-1)[..., None, None]
+    cross = skew(rotation_vector)
+    unspiral = np.eye(3) - 0.5 * cross + _cotangent(angle_rad) * (cross @ cross)
+    linear = (unspiral @ a_from_b[..., :3, 3:])[..., 0]
+    return np.concatenate([linear, rotation_vector], axis=-1)
+
+
+def adjoint(a_from_b: np.ndarray) -> np.ndarray:
+    """Give the (..., 6, 6) matrices that express screws of frame b in frame a."""
+    a_from_b = _transforms(a_from_b)
+    rotation = a_from_b[..., :3, :3]
+    matrix = np.zeros((*a_from_b.shape[:-2], 6, 6))
+    matrix[..., :3, :3] = matrix[..., 3:, 3:] = rotation
+    matrix[..., :3, 3:] = skew(a_from_b[..., :3, 3]) @ rotation
+    return matrix
+
+
+def rotation_log(rotation: np.ndarray) -> np.ndarray:
+    """Give the rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3)."""
+    rotation = np.asarray(rotation, float)
+    flat = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec()
+    return flat.reshape(rotation.shape[:-1])
+
+
+def rotation_angle(rotation: np.ndarray) -> np.ndarray | float:
+    """Measure the angle [rad], 0 to pi, of rotation matrices (..., 3, 3)."""
+    rotation = np.asarray(rotation, float)
+    axial = rotation - np.swapaxes(rotation, -1, -2)
+    sine = np.linalg.norm(axial, axis=(-2, -1)) / math.sqrt(8.0)
+    cosine = 0.5 * (np.trace(rotation, axis1=-2, axis2=-1) - 1.0)
+    angle_rad = np.arctan2(sine, cosine)
+    return float(angle_rad) if angle_rad.ndim == 0 else angle_rad
+
+
+def pose_difference(parent_from_a: np.ndarray, parent_from_b: np.ndarray) -> np.ndarray:
+    """
+    Subtract pose b from pose a, translation and rotation apart.
+
+    Parameters
+    ----------
+    parent_from_a, parent_from_b : (..., 4, 4) array
+        Two poses in the same parent frame.
+
+    Returns
+    -------
+    (..., 6) array
+        Translation of the origin [m] and rotation vector [rad] that lead from b to a,
+        both along the axes of the parent. Covariances of poses refer to it.
+
+    """
+    a, b = _transforms(parent_from_a), _transforms(parent_from_b)
+    turn = rotation_log(a[..., :3, :3] @ np.swapaxes(b[..., :3, :3], -1, -2))
+    return np.concatenate([a[..., :3, 3] - b[..., :3, 3], turn], axis=-1)
+
+
+def displaced(parent_from_a: np.ndarray, difference: np.ndarray) -> np.ndarray:
+    """Add a difference (..., 6) to poses (..., 4, 4): undoes `pose_difference`."""
+    a, difference = _transforms(parent_from_a), _twists(difference)
+    turned = _rotations(difference[..., 3:]) @ a[..., :3, :3]
+    return transform(turned, a[..., :3, 3] + difference[..., :3])
+
+
+def screw_between(parent_from_start: np.ndarray, parent_from_goal: np.ndarray) -> np.ndarray:
+    """Find the twist (..., 6) in the parent with ``exp_twist(twist) @ start == goal``."""
+    return log_transform(_transforms(parent_from_goal) @ inverse(parent_from_start))
+
+
+class Screw(NamedTuple):
+    """A finite motion: along and about one line."""
+
+    direction: np.ndarray  # (3,) unit vector
+    point_m: np.ndarray  # (3,) the point of the axis nearest the origin
+    advance_m: float  # along the direction
+    angle_rad: float  # about the direction
+
+
+def screw_axis(twist: np.ndarray) -> Screw:
+    """Give the axis of a twist (6,); a pure translation has its line through the origin."""
+    twist = _twists(twist)
+    linear, angular = twist[:3], twist[3:]
+    angle_rad = float(np.linalg.norm(angular))
+    if angle_rad < 1e-12:
+        advance_m = float(np.linalg.norm(linear))
+        direction = linear / advance_m if advance_m > 0.0 else np.array([0.0, 0.0, 1.0])
+        return Screw(direction, np.zeros(3), advance_m, 0.0)
+    direction = angular / angle_rad
+    point_m = np.cross(direction, linear) / angle_rad
+    return Screw(direction, point_m, float(direction @ linear), angle_rad)
+
+
+def _rotations(vector: np.ndarray) -> np.ndarray:
+    flat = Rotation.from_rotvec(vector.reshape(-1, 3)).as_matrix()
+    return flat.reshape(*vector.shape, 3)
+
+
+def _cubic(angle_rad: np.ndarray) -> np.ndarray:
+    """Evaluate (x - sin x) / x^3 without cancellation."""
+    squared = angle_rad**2
+    series = 1 / 6 - squared / 120 * (1 - squared / 42 * (1 - squared / 72))
+    safe = np.where(angle_rad < _SMALL_RAD, 1.0, angle_rad)
+    return np.where(angle_rad < _SMALL_RAD, series, (safe - np.sin(safe)) / safe**3)
+
+
+def _cotangent(angle_rad: np.ndarray) -> np.ndarray:
+    """Evaluate (1 - x/2 cot(x/2)) / x^2 without cancellation."""
+    squared = angle_rad**2
+    series = 1 / 12 + squared / 720 * (1 + squared / 42 * (1 + squared / 40))
+    safe = np.where(angle_rad < _SMALL_RAD, 1.0, angle_rad)
+    closed = (1.0 - 0.5 * safe * np.cos(0.5 * safe) / np.sin(0.5 * safe)) / safe**2
+    return np.where(angle_rad < _SMALL_RAD, series, closed)
+
+
+def _transforms(a_from_b: np.ndarray) -> np.ndarray:
+    a_from_b = np.asarray(a_from_b, float)
+    if a_from_b.shape[-2:] != (4, 4):
+        raise ValueError(f'transforms must have shape (..., 4, 4), got {a_from_b.shape}')
+    return a_from_b
+
+
+def _twists(twist: np.ndarray) -> np.ndarray:
+    twist = np.asarray(twist, float)
+    if twist.shape[-1:] != (6,):
+        raise ValueError(f'twists must have shape (..., 6), got {twist.shape}')
+    return twist
