@@ -1,0 +1,135 @@
+"""
+The verdict of a path: every pose against every limit, before anything moves.
+
+All checks work on the whole path at once. The robot is optional: without one, only
+what the camera would see is checked.
+"""
+
+from __future__ import annotations
+
+from homography_servo.geometry.camera import Camera
+from homography_servo.planning.checks import BEHIND_PX
+from homography_servo.planning.checks import check_agreement
+from homography_servo.planning.checks import check_facing
+from homography_servo.planning.checks import check_field
+from homography_servo.planning.checks import check_mirror
+from homography_servo.planning.checks import judge_joints
+from homography_servo.planning.checks import Seen
+from homography_servo.planning.follow import arm_poses
+from homography_servo.planning.follow import follow
+from homography_servo.planning.follow import Followed
+from homography_servo.planning.mirror import predicted_ambiguity
+from homography_servo.planning.settings import FeasibilitySettings
+from homography_servo.planning.verdict import Check
+from homography_servo.planning.verdict import PoseValues
+from homography_servo.planning.verdict import Verdict
+from homography_servo.robot.robot_file import Robot
+import numpy as np
+
+NEAREST_M = 1e-3
+
+
+def look(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
+         home_depth_m: float) -> Seen:
+    """Project the object's points at (N, 4, 4) poses ``home_from_object``."""
+    turn, place = poses[:, :3, :3], poses[:, :3, 3] + (0.0, 0.0, home_depth_m)
+    points = object_points_m @ np.swapaxes(turn, 1, 2) + place[:, None, :]
+    front = points[..., 2] > NEAREST_M
+    safe = np.where(front[..., None], points, (0.0, 0.0, 1.0))
+    points_px = camera.project(safe)
+    far = np.array([camera.width - 1.0, camera.height - 1.0]) - points_px
+    border_px = np.where(front, np.minimum(points_px, far).min(axis=-1), BEHIND_PX)
+    away = (turn[:, :, 2] * place).sum(axis=1) / np.linalg.norm(place, axis=1)
+    return Seen(points_px, border_px, np.arccos(np.clip(away, -1.0, 1.0)))
+
+
+def check_path(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
+               robot: Robot | None = None, start_joints_rad: np.ndarray | None = None,
+               settings: FeasibilitySettings = FeasibilitySettings(),
+               joints_rad: np.ndarray | None = None) -> Verdict:
+    """
+    Judge a path.
+
+    Parameters
+    ----------
+    poses : (N, 4, 4) array
+        ``home_from_object`` along the path, N at least 1.
+    camera : Camera
+        What looks at it.
+    object_points_m : (M, 3) array
+        Points that have to stay in view, in the frame of the object.
+    robot : Robot, optional
+        The arm; None leaves out everything about joints.
+    start_joints_rad : (n,) array, optional
+        Joints at the first pose; needed with a robot.
+    settings : FeasibilitySettings
+        The limits.
+    joints_rad : (N, n) array, optional
+        Joints along the path if they are known; followed from the start if not.
+
+    Returns
+    -------
+    Verdict
+        With the numbers of every pose and the first that is bad.
+
+    """
+    poses = _checked(poses, robot, start_joints_rad)
+    points = np.asarray(object_points_m, dtype=float)
+    depth_m = settings.home_depth_m if robot is None else robot.home_depth_m
+    seen = look(poses, camera, points, depth_m)
+    sigma_px = settings.corner_sigma_px
+    ambiguity = predicted_ambiguity(poses, seen.points_px, camera, points, depth_m, sigma_px)
+    checks = [check_field(seen, settings), check_facing(seen, settings),
+              check_mirror(ambiguity, settings)]
+    blank = np.full(len(poses), np.nan)
+    values = PoseValues(seen.border_px.min(axis=1), seen.facing_rad, blank == 0, blank,
+                        np.zeros(len(poses), dtype=int), blank, blank, ambiguity)
+    note = ''
+    if robot is not None:
+        believed = arm_poses(robot, poses, start_joints_rad)
+        known = None if joints_rad is None else Followed(
+            joints_rad, np.ones(len(poses), dtype=bool), 0.0, 0.0)
+        followed = known or follow(robot, believed, start_joints_rad, (
+            settings.reach_tolerance_m, settings.reach_tolerance_rad))
+        values, more = judge_joints(robot, followed, values, settings)
+        checks += [check_agreement(poses, believed, settings), *more]
+        joints_rad, note = followed.joints_rad, _arm_note(robot, values)
+    return _conclude(checks, values, joints_rad, note)
+
+
+def _checked(poses: np.ndarray, robot: Robot | None, start: np.ndarray | None) -> np.ndarray:
+    poses = np.asarray(poses, dtype=float)
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or len(poses) == 0:
+        raise ValueError(f'poses must have shape (N, 4, 4) with N >= 1, got {poses.shape}')
+    if not np.isfinite(poses).all():
+        raise ValueError('poses must be finite')
+    if robot is not None and np.shape(start) != (len(robot.joint_names),):
+        raise ValueError(f'start_joints_rad must have shape ({len(robot.joint_names)},), '
+                         f'got {np.shape(start)}')
+    return poses
+
+
+def _arm_note(robot: Robot, values: PoseValues) -> str:
+    k = int(np.argmin(values.joint_margin_rad))
+    name = robot.joint_names[values.joint_index[k]]
+    return (f', joint {name} comes within {np.degrees(values.joint_margin_rad[k]):.1f} deg of '
+            f'its limit at pose {k + 1}, smallest singular value '
+            f'{values.conditioning.min():.3f}')
+
+
+def _conclude(checks: list[Check], values: PoseValues, joints_rad: np.ndarray | None,
+              note: str) -> Verdict:
+    count = len(values.field_px)
+    bad = [int(np.argmin(c.good)) if not c.good.all() else count for c in checks]
+    first = min(bad)
+    reasons = tuple('; '.join(c.sentences[k] for c in checks if k in c.sentences)
+                    for k in range(count))
+    if first == count:
+        at = int(np.argmin(values.field_px))
+        sentence = (f'all {count} poses are feasible: corners stay {values.field_px[at]:.0f} px '
+                    f'inside the image, the face within '
+                    f'{np.degrees(values.facing_rad.max()):.0f} deg of the line of sight{note}')
+        return Verdict(True, sentence, None, values, reasons, joints_rad)
+    failed = checks[bad.index(first)]
+    sentence = f'pose {first + 1} of {count}: {failed.sentences[first]} ({failed.name})'
+    return Verdict(False, sentence, first, values, reasons, joints_rad, failed.name)
