@@ -3,12 +3,9 @@ Lens distortion as sensor_msgs/CameraInfo names it, with derivatives.
 
 Every model is a function ``model(rays, k) -> (distorted, jacobian)`` on ideal
 normalised image coordinates (..., 2); the Jacobian is (..., 2, 2). One Newton
-iteration, `undistort`, inverts them all.
-
-References
-----------
-plumb_bob: Brown, Decentering Distortion of Lenses (1966). equidistant: Kannala and
-Brandt, IEEE TPAMI 28(8), 2006, DOI 10.1109/TPAMI.2006.153.
+iteration, `undistort`, inverts them all. For plumb_bob see Brown, Decentering
+Distortion of Lenses (1966); for equidistant Kannala and Brandt, IEEE TPAMI 28(8),
+2006, DOI 10.1109/TPAMI.2006.153.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ def transform_points(a_from_b: np.ndarray, points_b: np.ndarray) -> np.ndarray:
 
 
 def skew(vector: np.ndarray) -> np.ndarray:
-    """Give the matrices (..., 3, 3) with ``skew(v) @ w == cross(v, w)``."""
+    """Give the (..., 3, 3) matrices that turn a product into a cross product."""
     vector = np.asarray(vector, float)
     matrix = np.zeros((*vector.shape, 3))
     matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0] = np.moveaxis(vector, -1, 0)
