@@ -1,0 +1,90 @@
+"""
+What the joints did lately: where they were at a time, and since when they stand.
+
+Stamps are those of the messages and pair joints with images; they may jump with the
+clock. Receipt times are steady and only tell how old the knowledge is.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+import math
+
+from homography_servo.result import Rejected
+import numpy as np
+
+KEPT = 200
+STILL_RAD = 2e-4  # half a unit of a hobby servo is 5e-4
+CLOCK_JUMP_S = 1.0
+
+
+class JointTrack:
+    """A short history of joint states."""
+
+    def __init__(self) -> None:
+        self._samples: deque[tuple[float, np.ndarray]] = deque(maxlen=KEPT)
+        self.received_s = -math.inf
+        self.still_since_s = math.inf  # stamp; infinite while moving or unknown
+
+    @property
+    def latest_rad(self) -> np.ndarray | None:
+        """Newest joint positions, None before the first."""
+        return self._samples[-1][1] if self._samples else None
+
+    @property
+    def latest_stamp_s(self) -> float:
+        """Stamp of the newest positions."""
+        return self._samples[-1][0] if self._samples else -math.inf
+
+    def add(self, joints_rad: np.ndarray, stamp_s: float, now_s: float) -> Rejected | None:
+        """Take in a joint state; refuse what is late or repeated."""
+        if self._samples:
+            late_s = self.latest_stamp_s - stamp_s
+            if abs(late_s) > CLOCK_JUMP_S:
+                self._samples.clear()  # the clock was set: old stamps mean nothing now
+            elif late_s >= 0.0:
+                return Rejected(f'joint state is {late_s:.3f} s older than the one before')
+        self._note_motion(joints_rad, stamp_s)
+        self._samples.append((stamp_s, joints_rad))
+        self.received_s = now_s
+        return None
+
+    def _note_motion(self, joints_rad: np.ndarray, stamp_s: float) -> None:
+        if not self._samples:
+            self.still_since_s = math.inf
+            return
+        last_s, last_rad = self._samples[-1]
+        if np.abs(joints_rad - last_rad).max() > STILL_RAD:
+            self.still_since_s = math.inf
+        elif math.isinf(self.still_since_s):
+            self.still_since_s = last_s
+
+    def at(self, stamp_s: float, ahead_s: float = 0.0) -> np.ndarray | None:
+        """
+        Give the joints at a time between samples.
+
+        Parameters
+        ----------
+        stamp_s : float
+            The time.
+        ahead_s : float
+            How much later than the newest sample it may be; then that one counts.
+
+        Returns
+        -------
+        (n,) array or None
+            None where the time is not covered.
+
+        """
+        if not self._samples or stamp_s < self._samples[0][0]:
+            return None
+        newest_s, newest_rad = self._samples[-1]
+        if stamp_s >= newest_s:
+            return newest_rad if stamp_s <= newest_s + ahead_s else None
+        later_s, later_rad = self._samples[-1]
+        for earlier_s, earlier_rad in reversed(self._samples):
+            if earlier_s <= stamp_s:
+                share = (stamp_s - earlier_s) / max(later_s - earlier_s, 1e-9)
+                return earlier_rad + share * (later_rad - earlier_rad)
+            later_s, later_rad = earlier_s, earlier_rad
+        return None

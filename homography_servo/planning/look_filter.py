@@ -1,0 +1,171 @@
+"""
+Average looks over time and along the path: what the camera saw corrects the model.
+
+One look at a small plane is weak in depth and tilt, but an arm's relative motion is
+accurate. So the filter does not average poses, it estimates the slowly varying error
+of the model (`arm_model`) from all looks, each at its own setpoint: an iterated
+extended Kalman filter over that error. Two things make it fit for planes:
+
+- A measured pose is turned back into the corners (rays) that it explains, and those
+  are the measurement. Both mirror poses of a plane explain nearly the same corners,
+  so a flip in the measured pose does not disturb the filter; and the information of
+  a look is taken at the filter's estimate, not at the noisy pose of one look.
+- The error is allowed to drift in proportion to the motion between looks, and the
+  covariance grows when looks contradict it, so that a wrong model is followed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from homography_servo.planning.arm_model import BodyModel
+from homography_servo.planning.arm_model import Prior
+from homography_servo.planning.control import displacement
+from homography_servo.result import Rejected
+import numpy as np
+
+ITERATIONS = 3
+ARM_LENGTH_M = 0.3  # a rotation and a translation of the object compare by this length
+
+
+@dataclass(frozen=True)
+class Look:
+    """Rays (x/z, y/z) of the object points, stacked to (2N,), and their covariance."""
+
+    rays: np.ndarray
+    covariance: np.ndarray
+
+
+def rays_of(home_from_object: np.ndarray, points_m: np.ndarray, home_depth_m: float
+            ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Project object points to unit focal length.
+
+    Parameters
+    ----------
+    home_from_object : (4, 4) array
+        Pose of the object.
+    points_m : (N, 3) array
+        Points of the object.
+    home_depth_m : float
+        Depth of home in front of the camera.
+
+    Returns
+    -------
+    (2N,) array, (2N, 6) array
+        The rays, and their change per twist of the object (home axes, linear first).
+
+    """
+    arms = points_m @ home_from_object[:3, :3].T
+    x, y, z = (arms + home_from_object[:3, 3]).T
+    z = z + home_depth_m
+    rays = np.stack([x / z, y / z], axis=-1)
+    jacobian = np.zeros((len(points_m), 2, 6))
+    jacobian[:, 0, 0] = jacobian[:, 1, 1] = 1.0 / z
+    jacobian[:, :, 2] = -rays / z[:, None]
+    jacobian[:, :, 3:] = np.cross(arms[:, None, :], jacobian[:, :, :3])
+    return rays.ravel(), jacobian.reshape(-1, 6)
+
+
+def look_from_pose(home_from_object: np.ndarray, covariance: np.ndarray, points_m: np.ndarray,
+                   home_depth_m: float) -> Look | Rejected:
+    """
+    Turn a measured pose back into the rays that it explains.
+
+    The pose holds no knowledge about the residual, the part of the rays that no
+    motion explains; there the noise is taken to be as large as elsewhere.
+    """
+    if not (np.isfinite(home_from_object).all() and np.isfinite(covariance).all()):
+        return Rejected('the measured pose or its covariance is not finite')
+    if np.linalg.eigvalsh(0.5 * (covariance + covariance.T))[0] <= 0.0:
+        return Rejected('the covariance of the measured pose is not positive')
+    if home_from_object[2, 3] + home_depth_m <= 0.05:
+        return Rejected('the measured object is not in front of the camera')
+    rays, jacobian = rays_of(home_from_object, points_m, home_depth_m)
+    spread = jacobian @ covariance @ jacobian.T
+    basis, _ = np.linalg.qr(jacobian)
+    blind = np.eye(len(rays)) - basis @ basis.T
+    return Look(rays, spread + np.trace(spread) / 6.0 * blind)
+
+
+class LookFilter:
+    """
+    The model's error and how well it is known.
+
+    Parameters
+    ----------
+    model : BodyModel
+        The believed model, without error.
+    points_m : (N, 3) array
+        Points of the object.
+    home_depth_m : float
+        Depth of home in front of the camera.
+    prior : Prior
+        How wrong the model may be.
+    drift : float
+        Share of the motion between two looks by which the error may change.
+
+    """
+
+    def __init__(self, model: BodyModel, points_m: np.ndarray, home_depth_m: float,
+                 prior: Prior = Prior(), drift: float = 0.01) -> None:
+        self._believed, self._prior, self._drift = model, prior, drift
+        self._points_m, self._home_depth_m = np.asarray(points_m, dtype=float), home_depth_m
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all looks."""
+        self.model = self._believed
+        self._covariance = np.diag(self.model.variances(self._prior))
+        self._last_setpoint: np.ndarray | None = None
+        self.looks = 0
+        self.surprise = 0.0  # squared innovation over its expectation; about 1 when all is well
+
+    def pose(self, setpoint: np.ndarray) -> np.ndarray:
+        """Give home_from_object at a setpoint as the looks so far say it."""
+        return self.model.pose(setpoint)
+
+    def covariance(self, setpoint: np.ndarray) -> np.ndarray:
+        """Give the (6, 6) covariance of `pose` at a setpoint, home axes, linear first."""
+        sensitivity = self.model.sensitivity(setpoint)
+        return sensitivity @ self._covariance @ sensitivity.T
+
+    def update(self, look: Look, setpoint: np.ndarray) -> None:
+        """Take in one look at the object while the model was at a setpoint."""
+        self._drift_to(setpoint)
+        change = np.zeros(len(self._covariance))
+        model = self.model
+        for iteration in range(ITERATIONS):
+            rays, by_twist = rays_of(model.pose(setpoint), self._points_m, self._home_depth_m)
+            by_error = by_twist @ model.sensitivity(setpoint)
+            innovation = look.rays - rays + by_error @ change
+            if iteration == 0:
+                self._widen(innovation, by_error, look.covariance)
+            spread = by_error @ self._covariance @ by_error.T + look.covariance
+            gain = np.linalg.solve(spread, by_error @ self._covariance).T
+            step = gain @ innovation - change
+            change = change + step
+            model = self.model.moved(change)
+            if np.abs(step).max() < 1e-7:
+                break
+        keep = np.eye(len(gain)) - gain @ by_error
+        # Joseph's form stays positive when looks are far sharper than the prior.
+        self._covariance = (keep @ self._covariance @ keep.T
+                            + gain @ look.covariance @ gain.T)
+        self.model, self.looks = model, self.looks + 1
+
+    def _drift_to(self, setpoint: np.ndarray) -> None:
+        if self._last_setpoint is not None:
+            motion = displacement(self.pose(self._last_setpoint), self.pose(setpoint))
+            moved_m, turned_rad = np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])
+            size_m = self._drift * (moved_m + ARM_LENGTH_M * turned_rad)
+            sigma = np.array([size_m] * 3 + [size_m / ARM_LENGTH_M] * 3)
+            left = np.linalg.inv(self.model.sensitivity(setpoint)[:, :6])
+            self._covariance[:6, :6] += (left * sigma ** 2) @ left.T
+        self._last_setpoint = np.array(setpoint, dtype=float)
+
+    def _widen(self, innovation: np.ndarray, by_error: np.ndarray, noise: np.ndarray) -> None:
+        spread = by_error @ self._covariance @ by_error.T + noise
+        self.surprise = float(innovation @ np.linalg.solve(spread, innovation)) / len(innovation)
+        if self.surprise > 4.0 and self.looks:
+            self._covariance *= min(self.surprise, 1e4)

@@ -1,0 +1,389 @@
+"""
+The servo's state machine: look, decide, move, until the last pose is reached.
+
+It knows no clock, port or message: every input carries the time ``now_s`` of a
+steady clock, images and joint states also carry their stamps. After every input and
+at least every 20 ms call `Servo.tick`, and send the command that it gives.
+
+States: IDLE until started; MOVING while the arm carries out a step; LOOKING from the
+moment it stands; HOLD with a reason, which ends by itself; DONE; FAILED with a reason.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+from typing import NamedTuple
+
+from homography_servo.planning.arm_model import ArmModel
+from homography_servo.planning.control import corner_travel
+from homography_servo.planning.control import displacement
+from homography_servo.planning.control import Errors
+from homography_servo.planning.control import errors_of
+from homography_servo.planning.control import joints_for
+from homography_servo.planning.control import limit_step
+from homography_servo.planning.control import move_time
+from homography_servo.planning.control import sigmas_of
+from homography_servo.planning.control import Step
+from homography_servo.planning.joint_track import CLOCK_JUMP_S
+from homography_servo.planning.look_filter import look_from_pose
+from homography_servo.planning.look_filter import LookFilter
+from homography_servo.planning.servo_settings import ServoSettings
+from homography_servo.planning.servo_watch import Watch
+from homography_servo.result import Rejected
+from homography_servo.robot.robot_file import Robot
+import numpy as np
+
+IDLE, MOVING, LOOKING = 'IDLE', 'MOVING', 'LOOKING'
+HOLD, DONE, FAILED = 'HOLD', 'DONE', 'FAILED'
+ACTIVE = (MOVING, LOOKING, HOLD)
+ARRIVED_RAD = 1.2e-3  # a little over one unit of a hobby servo
+SHORTEST_MOVE_S = 0.04
+OVERDUE_S = 1.0
+RETRY_S = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Command:
+    """Where the joints shall be after a time; no joints mean: stop now."""
+
+    joints_rad: np.ndarray | None = None
+    time_s: float = 0.0
+    velocity_rad_s: np.ndarray | None = None
+
+
+class Progress(NamedTuple):
+    """How far the servo is; poses count from 1."""
+
+    pose: int = 0
+    of: int = 0
+    reached: int = 0
+    position_error_m: float = math.nan
+    rotation_error_rad: float = math.nan
+    iterations: int = 0
+    looks: int = 0
+    sure: float = math.nan  # worst standard deviation over its tolerance
+
+
+@dataclass
+class _Attempt:
+    """What was tried at the present pose."""
+
+    index: int
+    moves: int = 0
+    looks: int = 0
+    looks_since_stop: int = 0
+    grown: int = 0
+    last_over: float = math.inf
+
+
+class Servo:
+    """
+    Bring the object along a checked path.
+
+    Parameters
+    ----------
+    robot : Robot
+        The believed arm.
+    settings : ServoSettings
+        Tolerances, limits and time-outs; may be replaced at any time.
+
+    """
+
+    def __init__(self, robot: Robot, settings: ServoSettings = ServoSettings()) -> None:
+        self.robot, self.settings = robot, settings
+        self.watch = Watch()
+        self.filter = LookFilter(ArmModel(robot), robot.object_points_m, robot.home_depth_m,
+                                 settings.prior, settings.drift)
+        self.state, self.reason = IDLE, ''
+        self.progress = Progress()
+        self._path: np.ndarray | None = None
+        self._veto = 'no path was planned yet'
+        self._attempt = _Attempt(0)
+        self._target_rad: np.ndarray | None = None
+        self._left_rad: np.ndarray | None = None  # where the joints were at the last command
+        self._due_s = self._due_stamp_s = -math.inf
+        self._retry_s = math.inf
+        self._pending: Command | None = None
+
+    @property
+    def state_text(self) -> str:
+        """Give the state with its reason."""
+        return f'{self.state}: {self.reason}' if self.reason else self.state
+
+    @property
+    def active(self) -> bool:
+        """Tell whether the servo is on its way (or holding on it)."""
+        return self.state in ACTIVE
+
+    # Inputs.
+
+    def set_focal(self, focal_px: float | None) -> None:
+        """Tell the focal length of the camera, None when it is unknown."""
+        self.watch.focal_px = focal_px
+
+    def set_path(self, poses: np.ndarray, ok: bool, sentence: str) -> None:
+        """Take a path (N, 4, 4) in home, or its veto; in mid-motion it is taken over."""
+        self._veto = '' if ok and len(poses) else sentence or 'the path is empty'
+        self._path = np.array(poses, dtype=float) if not self._veto else None
+        if not self.active:
+            return
+        if self._path is None:
+            self._end(FAILED, f'the new path is vetoed: {self._veto}')
+            return
+        joints_rad = self._target_rad if self.state == MOVING else self.watch.joints.latest_rad
+        self._aim_at(self._nearest_pose(self.filter.pose(joints_rad)))
+
+    def add_joints(self, joints_rad: np.ndarray, stamp_s: float, now_s: float
+                   ) -> Rejected | None:
+        """Take in a joint state."""
+        if not np.isfinite(joints_rad).all():
+            return Rejected('a joint position is not a finite number')
+        joints = self.watch.joints
+        before_s = joints.latest_stamp_s
+        rejected = joints.add(np.array(joints_rad, dtype=float), stamp_s, now_s)
+        if not rejected and abs(stamp_s - before_s) > CLOCK_JUMP_S:
+            self._due_stamp_s += stamp_s - before_s  # the clock was set: stay on its side
+        return rejected
+
+    def add_look(self, home_from_object: np.ndarray, covariance: np.ndarray, stamp_s: float,
+                 now_s: float) -> Rejected | None:
+        """Take in a measured pose with its covariance and the stamp of its image."""
+        look = look_from_pose(home_from_object, covariance, self.robot.object_points_m,
+                              self.robot.home_depth_m)
+        if isinstance(look, Rejected):
+            return look
+        return self.watch.sight.add(look, stamp_s, now_s, self.settings.image_timeout_s)
+
+    def start(self, now_s: float) -> Rejected | str:
+        """Begin to servo along the path; a sentence either way."""
+        if self.active:
+            return Rejected('already on the way; stop first')
+        if self._path is None:
+            return Rejected(self._veto)
+        trouble = self.watch.trouble(now_s, self.settings)
+        if trouble:
+            return Rejected(trouble)
+        self.watch.moved_unseen_rad()
+        self.filter = LookFilter(
+            ArmModel(self.robot), self.robot.object_points_m, self.robot.home_depth_m,
+            self.settings.prior, self.settings.drift)
+        self._enter_looking()
+        self._aim_at(-1)
+        return f'on the way along {len(self._path)} poses'
+
+    def stop(self) -> str:
+        """Stop now and forget where to go; the path stays."""
+        was_active = self.active
+        self._end(IDLE, '')
+        return 'stopped' if was_active else 'was not moving; a stop was sent all the same'
+
+    def pause(self, wanted: bool) -> str:
+        """Hold until pause is taken back."""
+        self.watch.paused = wanted
+        return 'paused' if wanted else 'not paused'
+
+    def fail(self, reason: str) -> None:
+        """Stop for good, for a reason found outside."""
+        self._end(FAILED, reason)
+
+    # The machine.
+
+    def tick(self, now_s: float) -> Command | None:
+        """Go on as far as possible; give the command to send now, if any."""
+        if self.active and self._pending is None:
+            self._advance(now_s)
+        command, self._pending = self._pending, None
+        return command
+
+    def _advance(self, now_s: float) -> None:
+        trouble = self.watch.trouble(now_s, self.settings)
+        if trouble:
+            self._hold(trouble)
+        elif self.state == HOLD:
+            self._resume(now_s)
+        elif self.state == MOVING:
+            self._await_arrival(now_s)
+        if self.state == LOOKING and self._take_looks():
+            self._decide(now_s)
+
+    def _hold(self, reason: str) -> None:
+        if self.state != HOLD:
+            self._pending = Command()
+        self.state, self.reason = HOLD, reason
+
+    def _resume(self, now_s: float) -> None:
+        if now_s < self._retry_s and not math.isinf(self._retry_s):
+            return
+        self._retry_s = math.inf
+        expected = 0.0 if self._left_rad is None else \
+            float(np.abs(self._target_rad - self._left_rad).max())
+        moved = self.watch.moved_unseen_rad()
+        if moved > expected + 0.05:
+            self._end(FAILED, f'the arm moved by {math.degrees(moved):.1f} deg while '
+                      'joint_states were missing; start again')
+            return
+        self._enter_looking()
+
+    def _await_arrival(self, now_s: float) -> None:
+        joints = self.watch.joints
+        still = not math.isinf(joints.still_since_s)
+        near = np.abs(joints.latest_rad - self._target_rad).max() < ARRIVED_RAD
+        if still and near and joints.latest_stamp_s >= self._due_stamp_s:
+            self._enter_looking()
+        elif now_s > self._due_s + OVERDUE_S:
+            self._overdue(now_s, still)
+
+    def _overdue(self, now_s: float, still: bool) -> None:
+        moved = np.abs(self.watch.joints.latest_rad - self._left_rad).max()
+        if still and moved > ARRIVED_RAD:
+            self._enter_looking()  # it stands elsewhere: look where that is
+            return
+        self._retry_s = now_s + RETRY_S
+        self._hold('the arm does not come to rest' if not still else
+                   'the arm does not move; does the bridge take commands?')
+
+    def _enter_looking(self) -> None:
+        self.state, self.reason = LOOKING, ''
+        self._attempt.looks_since_stop = 0
+
+    def _take_looks(self) -> bool:
+        """Feed the filter with looks at the standing arm; tell whether there were any."""
+        joints, taken = self.watch.joints, 0
+        stood_s = max(joints.still_since_s, self._due_stamp_s)
+        while self.watch.sight.queue:
+            stamp_s, look = self.watch.sight.queue.popleft()
+            setpoint = joints.at(stamp_s, ahead_s=self.settings.joint_timeout_s)
+            if stamp_s < stood_s or setpoint is None:
+                continue
+            self.filter.update(look, setpoint)
+            taken += 1
+        self._attempt.looks += taken
+        self._attempt.looks_since_stop += taken
+        return taken > 0
+
+    def _decide(self, now_s: float) -> None:
+        joints_rad = self.watch.joints.latest_rad
+        here = self.filter.pose(joints_rad)
+        if self._attempt.index < 0:
+            self._begin(here)
+            if self.state != LOOKING:
+                return
+        last = self._attempt.index == len(self._path) - 1
+        allowed = self._allowed(last)
+        twist = displacement(here, self._path[self._attempt.index])
+        over = errors_of(twist).over(allowed)
+        unsure = sigmas_of(self.filter.covariance(joints_rad)).over(allowed)
+        self._report(twist, unsure)
+        sure = unsure <= self.settings.sure_share
+        enough = self._attempt.looks >= (self.settings.final_looks if last else 1)
+        if over <= 1.0 and sure and enough:
+            self._reached(now_s)
+        elif over > 1.0 + 2.0 * unsure or (over > 1.0 and sure):
+            self._move(now_s, over)
+        elif self._attempt.looks >= self.settings.looks_max:
+            self._give_up_on_noise(unsure)
+
+    def _allowed(self, last: bool) -> Errors:
+        scale = 1.0 if last else self.settings.via_scale
+        return Errors(*(scale * value for value in self.settings.tolerance))
+
+    def _report(self, twist: np.ndarray, unsure: float) -> None:
+        index = self._attempt.index
+        self.progress = Progress(
+            index + 1, len(self._path), index, float(np.linalg.norm(twist[:3])),
+            float(np.linalg.norm(twist[3:])), self._attempt.moves, self._attempt.looks, unsure)
+
+    def _begin(self, here: np.ndarray) -> None:
+        index = self._nearest_pose(here)
+        away = displacement(here, self._path[index])
+        far_m, far_rad = np.linalg.norm(away[:3]), np.linalg.norm(away[3:])
+        if far_m > self.settings.start_distance_m \
+                or far_rad > math.radians(self.settings.start_angle_deg):
+            self._end(FAILED, f'the object is {1000 * far_m:.0f} mm and '
+                      f'{math.degrees(far_rad):.0f} deg away from the path; plan again')
+            return
+        looks = self._attempt.looks
+        self._aim_at(index)
+        self._attempt.looks = self._attempt.looks_since_stop = looks
+
+    def _nearest_pose(self, here: np.ndarray) -> int:
+        """Find the pose of the path to go on from: the first one unless another is nearer."""
+        away = np.array([displacement(here, pose) for pose in self._path])
+        far = np.hypot(np.linalg.norm(away[:, :3], axis=1) / 0.1,
+                       np.linalg.norm(away[:, 3:], axis=1))
+        spacing = np.median(np.abs(np.diff(far))) if len(far) > 1 else 0.0
+        nearest = int(np.argmin(far))
+        return 0 if far[0] <= far[nearest] + 1.5 * spacing else nearest
+
+    def _aim_at(self, index: int) -> None:
+        self._attempt = _Attempt(index)
+
+    def _reached(self, now_s: float) -> None:
+        self.progress = self.progress._replace(reached=self._attempt.index + 1)
+        if self._attempt.index == len(self._path) - 1:
+            self._end(DONE, '', stop=False)
+            return
+        self._aim_at(self._attempt.index + 1)
+        self._move(now_s, math.inf)
+
+    def _move(self, now_s: float, over: float) -> None:
+        attempt = self._attempt
+        attempt.grown = attempt.grown + 1 if over > attempt.last_over else 0
+        attempt.last_over = over
+        if attempt.grown >= self.settings.growth_max:
+            self._end(FAILED, f'the error at pose {attempt.index + 1} grew in '
+                      f'{attempt.grown} moves in a row')
+        elif attempt.moves >= self.settings.iterations_max:
+            self._end(FAILED, f'pose {attempt.index + 1} was not reached in {attempt.moves} '
+                      f'moves; {over:.1f} times the tolerance is left')
+        else:
+            self._command(self._step(), now_s)
+
+    def _step(self) -> Step:
+        joints_rad = self.watch.joints.latest_rad
+        model, settings = self.filter.model, self.settings
+        wanted = joints_for(model, joints_rad, self._path[self._attempt.index])
+        step = limit_step(self.robot, joints_rad, wanted, settings.servo_margin_rad,
+                          settings.move_max_rad)
+        travel_px = self._travel_px(step.joints_rad)
+        if travel_px <= settings.corner_move_px:
+            return step
+        share = settings.corner_move_px / travel_px
+        return Step(joints_rad + share * (step.joints_rad - joints_rad), share * step.share,
+                    step.limited_by or 'step')
+
+    def _travel_px(self, target_rad: np.ndarray) -> float:
+        return self.watch.focal_px * corner_travel(
+            self.filter.model, self.watch.joints.latest_rad, target_rad,
+            self.robot.object_points_m, self.robot.home_depth_m)
+
+    def _command(self, step: Step, now_s: float) -> None:
+        if step.share < 0.02 and step.limited_by not in ('', 'step'):
+            index = self.robot.joint_names.index(step.limited_by)
+            angle = math.degrees(self.watch.joints.latest_rad[index])
+            self._end(FAILED, f'{step.limited_by} is at its limit ({angle:.1f} deg) before '
+                      f'pose {self._attempt.index + 1}')
+            return
+        joints = self.watch.joints
+        self._left_rad, self._target_rad = joints.latest_rad, step.joints_rad
+        time_s = max(SHORTEST_MOVE_S,
+                     move_time(self.robot, step.joints_rad - self._left_rad)
+                     / self.settings.speed_share,
+                     self._travel_px(step.joints_rad) / self.settings.corner_speed_px_s)
+        self._due_s, self._due_stamp_s = now_s + time_s, joints.latest_stamp_s + time_s
+        self._attempt.moves += 1
+        self.state, self.reason = MOVING, ''
+        self._pending = Command(step.joints_rad, time_s)
+
+    def _give_up_on_noise(self, unsure: float) -> None:
+        share = self.settings.sure_share
+        self._end(FAILED, f'pose {self._attempt.index + 1} is known only to {unsure:.2f} of the '
+                  f'tolerance after {self._attempt.looks} looks, {share:.2f} is asked: '
+                  'the tolerance cannot be reached with this noise')
+
+    def _end(self, state: str, reason: str, stop: bool = True) -> None:
+        self.state, self.reason = state, reason
+        self._retry_s = math.inf
+        if stop:
+            self._pending = Command()
