@@ -1,0 +1,255 @@
+"""Where the arm holds the object, how it moves, and how to get it somewhere."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from homography_servo.robot.branches import is_yaw_pitch_arm
+from homography_servo.robot.branches import yaw_pitch_candidates
+from homography_servo.robot.chain import checked_joints
+from homography_servo.robot.chain import jacobian_of
+from homography_servo.robot.chain import link_frames
+from homography_servo.robot.chain import object_frames
+from homography_servo.robot.robot_file import Robot
+import numpy as np
+
+# A posture is a solution when the object is this near: m and rad alike.
+_SOLVED = 1e-9
+# Solutions nearer than this are one, and a limit overstepped by less is kept.
+_SAME_RAD = 1e-6
+_LIMIT_RAD = 1e-9
+# One radian of rotation weighs as much as this length of translation.
+_LENGTH_M = 0.1
+_STARTS = 160
+_STEP_RAD = 0.5
+
+
+def forward(robot: Robot, joints_rad: np.ndarray) -> np.ndarray:
+    """Give base_from_tool (..., 4, 4) for joints (..., n)."""
+    return link_frames(robot, checked_joints(robot, joints_rad), np.eye(4))[..., -1, :, :]
+
+
+def object_pose(robot: Robot, joints_rad: np.ndarray) -> np.ndarray:
+    """Give home_from_object (..., 4, 4) for joints (..., n)."""
+    return object_frames(robot, checked_joints(robot, joints_rad))[1]
+
+
+def object_jacobian(robot: Robot, joints_rad: np.ndarray) -> np.ndarray:
+    """
+    Give the motion of the object for each joint.
+
+    Parameters
+    ----------
+    robot : Robot
+    joints_rad : (..., n) array
+
+    Returns
+    -------
+    (..., 6, n) array
+        Velocity of the object's origin [m/rad], then angular velocity, in the axes of home.
+
+    """
+    return jacobian_of(*object_frames(robot, checked_joints(robot, joints_rad)))
+
+
+def inverse(robot: Robot, home_from_object: np.ndarray, near_rad: np.ndarray | None = None,
+            seed: int = 0) -> np.ndarray:
+    """
+    Find every posture inside the limits that puts the object at a pose.
+
+    Parameters
+    ----------
+    robot : Robot
+    home_from_object : (4, 4) array
+    near_rad : (n,) array, optional
+        Posture to sort by; without it, by distance from the middle of the limits.
+    seed : int
+        Seed of the random starts; only arms of another build than yaw-yaw-pitch-pitch-roll-yaw
+        need them.
+
+    Returns
+    -------
+    (K, n) array
+        Nearest first; K is 0 when the pose cannot be reached. Whole turns of a joint count as
+        one posture, the one nearest to `near_rad`.
+
+    """
+    target = np.asarray(home_from_object, dtype=float)
+    if target.shape != (4, 4) or not np.isfinite(target).all():
+        raise ValueError(f'home_from_object must be a finite (4, 4) array, got {target}')
+    middle = 0.5 * (robot.lower_rad + robot.upper_rad)
+    near = middle if near_rad is None else checked_joints(robot, near_rad)
+    starts = _starts(robot, target, seed)
+    found, missed = _newton(robot, np.broadcast_to(target, (len(starts), 4, 4)), starts)
+    return _sorted(_different(_inside(robot, found[missed < _SOLVED], near)), near)
+
+
+def _starts(robot: Robot, target: np.ndarray, seed: int) -> np.ndarray:
+    if is_yaw_pitch_arm(robot):
+        base_from_tool = np.linalg.inv(robot.home_from_base) @ target \
+            @ np.linalg.inv(robot.tool_from_object)
+        candidates = yaw_pitch_candidates(robot, base_from_tool)
+        # Newton moves a candidate little: those far outside the limits need no polish.
+        return candidates[(_overstep(robot, candidates) < 0.1).all(axis=1)]
+    rng = np.random.default_rng(seed)
+    return rng.uniform(robot.lower_rad, robot.upper_rad, (_STARTS, robot.count))
+
+
+def _overstep(robot: Robot, joints_rad: np.ndarray) -> np.ndarray:
+    """Measure how far joints are outside the limits, whole turns taken off."""
+    span = robot.upper_rad - robot.lower_rad
+    above = np.mod(joints_rad - robot.lower_rad, 2.0 * math.pi)
+    return np.maximum(np.minimum(above - span, 2.0 * math.pi - above), 0.0)
+
+
+def _inside(robot: Robot, joints_rad: np.ndarray, near_rad: np.ndarray) -> np.ndarray:
+    """Keep the postures inside the limits, with the turns nearest to a posture."""
+    kept = joints_rad[(_overstep(robot, joints_rad) <= _LIMIT_RAD).all(axis=1)]
+    turn = 2.0 * math.pi
+    kept = kept - turn * np.round((kept - near_rad) / turn)
+    kept = kept + turn * np.ceil((robot.lower_rad - _LIMIT_RAD - kept) / turn).clip(min=0.0)
+    kept = kept - turn * np.ceil((kept - robot.upper_rad - _LIMIT_RAD) / turn).clip(min=0.0)
+    return np.clip(kept, robot.lower_rad, robot.upper_rad)
+
+
+def _different(joints_rad: np.ndarray) -> np.ndarray:
+    kept: list[np.ndarray] = []
+    for joints in joints_rad:
+        if all(np.abs(joints - other).max() > _SAME_RAD for other in kept):
+            kept.append(joints)
+    return np.array(kept).reshape(len(kept), joints_rad.shape[1])
+
+
+def _sorted(joints_rad: np.ndarray, near_rad: np.ndarray) -> np.ndarray:
+    return joints_rad[np.argsort(np.linalg.norm(joints_rad - near_rad, axis=1), kind='stable')]
+
+
+class Followed(NamedTuple):
+    """One branch of postures along a path of object poses."""
+
+    joints_rad: np.ndarray  # (N, n), limits not looked at
+    missed: np.ndarray  # (N,) what is left of the distance [m, and rad as m]
+    reached: np.ndarray  # (N,) bool
+
+
+def inverse_along(robot: Robot, poses: np.ndarray, start_joints: np.ndarray) -> Followed:
+    """
+    Follow one branch along a path.
+
+    Some poses are solved one after the other, each from the one before; the rest are then
+    solved together from what lies between. Where a pose cannot be reached the joints are
+    those that come nearest, and the branch goes on from there.
+
+    Parameters
+    ----------
+    robot : Robot
+    poses : (N, 4, 4) array
+        home_from_object along the path.
+    start_joints : (n,) array
+        Posture near the first pose.
+
+    Returns
+    -------
+    Followed
+        Joints may leave the limits: that is for the caller to judge.
+
+    """
+    poses = np.asarray(poses, dtype=float)
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or len(poses) == 0:
+        raise ValueError(f'poses must have shape (N, 4, 4), got {poses.shape}')
+    if not np.isfinite(poses).all():
+        raise ValueError('poses must be finite')
+    start = checked_joints(robot, start_joints)
+    marks = _marks(len(poses))
+    posts = _one_by_one(robot, poses[marks], start)
+    between = np.stack([np.interp(np.arange(len(poses)), marks, column) for column in posts.T], 1)
+    joints, missed = _newton(robot, poses, between, patience=8)
+    if _strays(joints, between):
+        joints = _one_by_one(robot, poses, start)
+        joints, missed = _newton(robot, poses, joints, patience=1)
+    return Followed(joints, missed, missed < _SOLVED)
+
+
+def _marks(count: int) -> np.ndarray:
+    """Choose the poses that are solved one by one: all of few, at most 16 of many."""
+    return np.unique(np.linspace(0, count - 1, min(count, 16)).round().astype(int))
+
+
+def _one_by_one(robot: Robot, poses: np.ndarray, start: np.ndarray) -> np.ndarray:
+    joints, found = start, []
+    for pose in poses:
+        joints = _newton(robot, pose[None], joints[None], patience=30)[0][0]
+        found.append(joints)
+    return np.array(found)
+
+
+def _strays(joints: np.ndarray, guess: np.ndarray) -> bool:
+    """Say whether solving moved a posture by more than a smooth branch explains."""
+    return bool(np.abs(joints - guess).max() > 0.2)
+
+
+def _newton(robot: Robot, targets: np.ndarray, joints_rad: np.ndarray,
+            patience: int = 40) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Solve poses by damped Newton steps, all at once.
+
+    The damping follows the distance left (Sugihara, 2011, doi:10.1109/TRO.2011.2148230), so
+    the last steps converge quadratically and no step is wild near a singularity.
+
+    Parameters
+    ----------
+    robot : Robot
+    targets : (B, 4, 4) array
+        home_from_object.
+    joints_rad : (B, n) array
+        Starts.
+    patience : int
+        Largest number of steps.
+
+    Returns
+    -------
+    (B, n) array, (B,) array
+        Joints, and the distance left.
+
+    """
+    joints = np.array(joints_rad, dtype=float)
+    missed = np.full(len(joints), np.inf)
+    active = np.arange(len(joints))
+    for _ in range(patience + 1):
+        frames, tips = object_frames(robot, joints[active])
+        error = _pose_error(tips, targets[active])
+        missed[active] = np.sqrt(np.einsum('bi,bi->b', error, error))
+        going = missed[active] > 1e-12
+        if not going.any():
+            break
+        active, error = active[going], error[going]
+        jacobian = jacobian_of(frames[going], tips[going])
+        joints[active] += _damped_step(jacobian, error)
+    return joints, missed
+
+
+def _pose_error(tips: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    """Subtract poses: translation [m], rotation vector weighted to m; (B, 6)."""
+    error = np.empty((len(tips), 6))
+    error[:, :3] = targets[:, :3, 3] - tips[:, :3, 3]
+    turn = targets[:, :3, :3] @ np.swapaxes(tips[:, :3, :3], 1, 2)
+    axial = 0.5 * np.stack([turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0],
+                            turn[:, 1, 0] - turn[:, 0, 1]], axis=1)
+    sine = np.sqrt(np.einsum('bi,bi->b', axial, axial))
+    angle = np.arctan2(sine, 0.5 * (np.trace(turn, axis1=1, axis2=2) - 1.0))
+    error[:, 3:] = axial * (_LENGTH_M * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9),
+                                                 1.0))[:, None]
+    return error
+
+
+def _damped_step(jacobian: np.ndarray, error: np.ndarray) -> np.ndarray:
+    weighted = jacobian * np.array([1.0] * 3 + [_LENGTH_M] * 3)[:, None]
+    across = np.swapaxes(weighted, 1, 2)
+    square = np.einsum('bi,bi->b', error, error)
+    normal = across @ weighted
+    index = np.arange(normal.shape[-1])
+    normal[:, index, index] += 0.01 * square[:, None] + 1e-14
+    step = np.linalg.solve(normal, across @ error[:, :, None])[:, :, 0]
+    largest = np.abs(step).max(axis=1, keepdims=True)
+    return step * np.minimum(1.0, _STEP_RAD / np.maximum(largest, _STEP_RAD))
