@@ -57,7 +57,7 @@ class Progress(NamedTuple):
 
     pose: int = 0
     of: int = 0
-    reached: int = 0
+    reached: bool = False
     position_error_m: float = math.nan
     rotation_error_rad: float = math.nan
     iterations: int = 0
@@ -291,7 +291,7 @@ class Servo:
     def _report(self, twist: np.ndarray, unsure: float) -> None:
         index = self._attempt.index
         self.progress = Progress(
-            index + 1, len(self._path), index, float(np.linalg.norm(twist[:3])),
+            index + 1, len(self._path), False, float(np.linalg.norm(twist[:3])),
             float(np.linalg.norm(twist[3:])), self._attempt.moves, self._attempt.looks, unsure)
 
     def _begin(self, here: np.ndarray) -> None:
@@ -320,7 +320,7 @@ class Servo:
         self._attempt = _Attempt(index)
 
     def _reached(self, now_s: float) -> None:
-        self.progress = self.progress._replace(reached=self._attempt.index + 1)
+        self.progress = self.progress._replace(reached=True)
         if self._attempt.index == len(self._path) - 1:
             self._end(DONE, '', stop=False)
             return

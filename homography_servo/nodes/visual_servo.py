@@ -1,0 +1,260 @@
+"""The servo as a ROS node: messages to `planning.servo` and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import KeyValue
+from geometry_msgs.msg import PolygonStamped
+from geometry_msgs.msg import PoseArray
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from homography_servo.errors import ConfigError
+from homography_servo.nodes.conversions import camera_from_info
+from homography_servo.nodes.conversions import joints_from_state
+from homography_servo.nodes.conversions import polygon_msg
+from homography_servo.nodes.conversions import seconds_from_stamp
+from homography_servo.nodes.conversions import trajectory_msg
+from homography_servo.nodes.conversions import transform_from_pose
+from homography_servo.nodes.conversions import transforms_from_poses
+from homography_servo.nodes.kit import COMMANDS
+from homography_servo.nodes.kit import DEFAULT
+from homography_servo.nodes.kit import ERROR
+from homography_servo.nodes.kit import Health
+from homography_servo.nodes.kit import images_qos
+from homography_servo.nodes.kit import LATCHED
+from homography_servo.nodes.kit import NodeKit
+from homography_servo.nodes.kit import OK
+from homography_servo.nodes.kit import WARN
+from homography_servo.nodes.parameters import Parameters
+from homography_servo.nodes.run import run_node
+from homography_servo.places import find_config
+from homography_servo.planning.servo import Command
+from homography_servo.planning.servo import FAILED
+from homography_servo.planning.servo import HOLD
+from homography_servo.planning.servo import Servo
+from homography_servo.planning.servo_settings import ServoSettings
+from homography_servo.result import Rejected
+from homography_servo.robot.robot_file import load_robot
+from homography_servo.robot.robot_file import Robot
+from homography_servo.settings import Settings
+from homography_servo.settings import text
+import numpy as np
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+TICK_S = 0.02
+
+
+@dataclass(frozen=True)
+class VisualServoSettings(Settings):
+    """Files of the visual servo node."""
+
+    robot_file: str = text('robix_rcs6.yaml', 'the arm, its limits and the object',
+                           read_only=True)
+
+
+class VisualServo(NodeKit, Node):
+    """Move the object along the planned path while looking at it."""
+
+    NAME = 'visual_servo'
+    SETTINGS = (VisualServoSettings, ServoSettings)
+    EXAMPLE = 'ros2 run homography_servo visual_servo --ros-args -p mode:=continuous'
+
+    def __init__(self, **kwargs) -> None:
+        super().__init__(self.NAME, **kwargs)
+        self._parameters = Parameters(self, *self.SETTINGS)
+        self._parameters.on_change(self._on_parameters)
+        self._robot = _robot_from(self._parameters[VisualServoSettings].robot_file)
+        self._servo = Servo(self._robot, self._parameters[ServoSettings])
+        self._camera = None
+        self._poses_msg: PoseArray | None = None
+        self._verdict_msg: DiagnosticArray | None = None
+        self._shown_state, self._shown_progress = '', None
+        self._publish_to()
+        self._listen_to()
+        self.every(TICK_S, self._tick)
+        self.start_kit()
+        self._tick()
+
+    def _publish_to(self) -> None:
+        self._commands = self.create_publisher(JointTrajectory, 'joint_trajectory', COMMANDS)
+        self._corners = self.create_publisher(PolygonStamped, 'object/predicted_corners', DEFAULT)
+        self._state = self.latched(String, '~/state')
+        self._progress = self.create_publisher(DiagnosticStatus, '~/progress', DEFAULT)
+
+    def _listen_to(self) -> None:
+        self.listen(PoseArray, 'path/poses', self._on_poses, LATCHED)
+        self.listen(DiagnosticArray, 'path/verdict', self._on_verdict, LATCHED)
+        self.listen(PoseWithCovarianceStamped, 'object/pose', self._on_look)
+        self.listen(JointState, 'joint_states', self._on_joints)
+        self.listen(CameraInfo, 'camera_info', self._on_camera, images_qos(False))
+        self.serve(Trigger, '~/start', self._on_start)
+        self.serve(Trigger, '~/stop', self._on_stop)
+        self.serve(SetBool, '~/pause', self._on_pause)
+
+    # Inputs.
+
+    def _on_parameters(self) -> None:
+        self._servo.settings = self._parameters[ServoSettings]
+
+    def _on_camera(self, msg: CameraInfo) -> None:
+        camera = camera_from_info(msg)
+        if isinstance(camera, Rejected):
+            self.reject('camera_info', camera.reason)
+            camera = None
+        self._camera = camera
+        self._servo.set_focal(None if camera is None else max(camera.fx, camera.fy))
+
+    def _on_poses(self, msg: PoseArray) -> None:
+        self._poses_msg = msg
+        self._match_path()
+
+    def _on_verdict(self, msg: DiagnosticArray) -> None:
+        self._verdict_msg = msg
+        self._match_path()
+
+    def _match_path(self) -> None:
+        """Take a path only together with its own verdict: both carry the same stamp."""
+        poses, verdict = self._poses_msg, self._verdict_msg
+        if poses is None or verdict is None or poses.header.stamp != verdict.header.stamp:
+            return
+        self._poses_msg = self._verdict_msg = None
+        path = transforms_from_poses(poses)
+        if isinstance(path, Rejected):
+            self.reject('path', path.reason)
+            self._servo.set_path(np.zeros((0, 4, 4)), False, path.reason)
+        elif not verdict.status:
+            self._servo.set_path(path, False, 'the verdict of the path is empty')
+        else:
+            whole = verdict.status[0]
+            self._servo.set_path(path, whole.level != DiagnosticStatus.ERROR, whole.message)
+        self._tick()
+
+    def _on_joints(self, msg: JointState) -> None:
+        joints_rad = joints_from_state(msg, self._robot.joint_names)
+        if not isinstance(joints_rad, Rejected):
+            stamp_s = seconds_from_stamp(msg.header.stamp)
+            rejected = self._servo.add_joints(joints_rad, stamp_s, time.monotonic())
+            joints_rad = joints_rad if rejected is None else rejected
+        if isinstance(joints_rad, Rejected):
+            self.reject('joint_states', joints_rad.reason)
+            return
+        self._tick()
+        self._predict_corners(joints_rad, msg.header)
+
+    def _on_look(self, msg: PoseWithCovarianceStamped) -> None:
+        pose = transform_from_pose(msg.pose.pose)
+        if not isinstance(pose, Rejected):
+            covariance = np.array(msg.pose.covariance, dtype=float).reshape(6, 6)
+            stamp_s = seconds_from_stamp(msg.header.stamp)
+            pose = self._servo.add_look(pose, covariance, stamp_s, time.monotonic())
+        if isinstance(pose, Rejected):
+            self.reject('object_pose', pose.reason)
+        self._tick()
+
+    def _on_start(self, _) -> tuple[bool, str]:
+        answer = self._servo.start(time.monotonic())
+        self._tick()
+        return not isinstance(answer, Rejected), str(answer)
+
+    def _on_stop(self, _) -> tuple[bool, str]:
+        answer = self._servo.stop()
+        self._tick()
+        return True, answer
+
+    def _on_pause(self, request: SetBool.Request) -> tuple[bool, str]:
+        answer = self._servo.pause(bool(request.data))
+        self._tick()
+        return True, answer
+
+    # Outputs.
+
+    def _tick(self) -> None:
+        command = self._servo.tick(time.monotonic())
+        if command is not None:
+            self._commands.publish(self._trajectory(command))
+        if self._servo.state_text != self._shown_state:
+            self._shown_state = self._servo.state_text
+            self._state.publish(String(data=self._shown_state))
+            if self._servo.state in (FAILED, HOLD):
+                self.get_logger().warning(self._shown_state)
+        if self._servo.progress is not self._shown_progress:
+            self._shown_progress = self._servo.progress
+            self._progress.publish(self._progress_msg())
+
+    def _trajectory(self, command: Command) -> JointTrajectory:
+        if command.joints_rad is None:
+            return trajectory_msg(self._robot.joint_names, [], [])  # no points: stop
+        msg = trajectory_msg(self._robot.joint_names, [command.joints_rad], [command.time_s])
+        velocity = np.zeros(self._robot.count) if command.velocity_rad_s is None \
+            else command.velocity_rad_s
+        msg.points[0].velocities = [float(v) for v in velocity]
+        return msg
+
+    def _progress_msg(self) -> DiagnosticStatus:
+        values = [KeyValue(key=key, value=_shown(value))
+                  for key, value in self._servo.progress._asdict().items()]
+        level = ERROR if self._servo.state == FAILED else \
+            WARN if self._servo.state == HOLD else OK
+        return DiagnosticStatus(name=f'{self.get_name()}: progress', level=level,
+                                message=self._servo.state_text, values=values)
+
+    def _predict_corners(self, joints_rad: np.ndarray, header: Header) -> None:
+        if self._camera is None:
+            return
+        pose = self._servo.filter.pose(joints_rad)
+        points_m = self._robot.object_points_m @ pose[:3, :3].T + pose[:3, 3]
+        points_m[:, 2] += self._robot.home_depth_m
+        if points_m[:, 2].min() <= 0.05:
+            return
+        corners_px = self._camera.project(points_m)
+        if np.isfinite(corners_px).all():
+            header = Header(stamp=header.stamp, frame_id='camera_optical')
+            self._corners.publish(polygon_msg(corners_px, header))
+
+    # Health.
+
+    def diagnose(self) -> list[Health]:
+        """Report the state and the last errors."""
+        level = ERROR if self._servo.state == FAILED else \
+            WARN if self._servo.state == HOLD else OK
+        values = {**self._servo.progress._asdict(), 'looks_in_filter': self._servo.filter.looks,
+                  'surprise': self._servo.filter.surprise}
+        return [Health('servo', level, self._servo.state_text, values)]
+
+    def on_fault(self, error: Exception) -> None:
+        """Stop when the servo itself failed."""
+        self._servo.fail(f'internal error: {error}')
+        self._commands.publish(self._trajectory(Command()))
+
+    def on_signal(self) -> None:
+        """Stop the arm before the process ends."""
+        if self._servo.active:
+            self._commands.publish(self._trajectory(Command()))
+
+
+def _robot_from(file: str) -> Robot:
+    try:
+        return load_robot(find_config(file))
+    except FileNotFoundError as error:
+        raise ConfigError(VisualServo.NAME, 0, 'robot_file', str(error)) from error
+
+
+def _shown(value) -> str:
+    if isinstance(value, bool):
+        return 'true' if value else 'false'
+    return f'{value:.6g}' if isinstance(value, float) else str(value)
+
+
+def main(args=None) -> int:
+    """Run the node."""
+    return run_node(VisualServo, args)
