@@ -17,7 +17,6 @@ from homography_servo.planning.checks import judge_joints
 from homography_servo.planning.checks import Seen
 from homography_servo.planning.follow import arm_poses
 from homography_servo.planning.follow import follow
-from homography_servo.planning.follow import Followed
 from homography_servo.planning.mirror import predicted_ambiguity
 from homography_servo.planning.settings import FeasibilitySettings
 from homography_servo.planning.verdict import Check
@@ -45,8 +44,7 @@ def look(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
 
 def check_path(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
                robot: Robot | None = None, start_joints_rad: np.ndarray | None = None,
-               settings: FeasibilitySettings = FeasibilitySettings(),
-               joints_rad: np.ndarray | None = None) -> Verdict:
+               settings: FeasibilitySettings = FeasibilitySettings()) -> Verdict:
     """
     Judge a path.
 
@@ -64,8 +62,6 @@ def check_path(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
         Joints at the first pose; needed with a robot.
     settings : FeasibilitySettings
         The limits.
-    joints_rad : (N, n) array, optional
-        Joints along the path if they are known; followed from the start if not.
 
     Returns
     -------
@@ -84,12 +80,10 @@ def check_path(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
     blank = np.full(len(poses), np.nan)
     values = PoseValues(seen.border_px.min(axis=1), seen.facing_rad, blank == 0, blank,
                         np.zeros(len(poses), dtype=int), blank, blank, ambiguity)
-    note = ''
+    joints_rad, note = None, ''
     if robot is not None:
         believed = arm_poses(robot, poses, start_joints_rad)
-        known = None if joints_rad is None else Followed(
-            joints_rad, np.ones(len(poses), dtype=bool), 0.0, 0.0)
-        followed = known or follow(robot, believed, start_joints_rad, (
+        followed = follow(robot, believed, start_joints_rad, (
             settings.reach_tolerance_m, settings.reach_tolerance_rad))
         values, more = judge_joints(robot, followed, values, settings)
         checks += [check_agreement(poses, believed, settings), *more]

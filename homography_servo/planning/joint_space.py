@@ -1,0 +1,183 @@
+"""
+Joint configurations that may be passed, and the search for a way through them.
+
+A configuration is free when it keeps the joint margins, is on the start's side of every
+singularity, and shows the object to the camera as the verdict demands it. The search is
+a pair of trees that grow towards each other (RRT-Connect), then shortcuts.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+from homography_servo.planning.feasibility import look
+from homography_servo.planning.task import Task
+from homography_servo.robot.kinematics import object_jacobian
+import numpy as np
+
+RESOLUTION_RAD = 0.05
+STRIDE_RAD = 0.4
+SHORTCUTS = 60
+_SPARE = 1.02  # ask a little more than the verdict, which looks at other samples
+
+
+class JointSpace:
+    """The free configurations of one planning task."""
+
+    def __init__(self, task: Task) -> None:
+        self._task = task
+        limits, start = task.settings, task.joints_rad[None]
+        self._sign = self._side(start)[1][0]
+        room, field, facing, condition = (float(v[0]) for v in self._values(start))
+        self._room = min(limits.joint_margin_rad * _SPARE, room)
+        self._field = min(limits.field_margin_px + 1.0, field)
+        self._facing = min(-np.radians(limits.facing_limit_deg) * 0.99, facing)
+        self._condition = min(limits.conditioning_min * _SPARE, condition)
+
+    @cached_property
+    def lower_rad(self) -> np.ndarray:
+        """Lower limits with their margin."""
+        return np.minimum(self._task.robot.lower_rad + self._room, self._task.joints_rad)
+
+    @cached_property
+    def upper_rad(self) -> np.ndarray:
+        """Upper limits with their margin."""
+        return np.maximum(self._task.robot.upper_rad - self._room, self._task.joints_rad)
+
+    def free(self, joints_rad: np.ndarray) -> np.ndarray:
+        """Tell which of (N, n) configurations may be passed."""
+        room, field, facing, condition = self._values(np.atleast_2d(joints_rad))
+        return (room >= self._room - 1e-9) & (field >= self._field - 1e-6) \
+            & (facing >= self._facing - 1e-9) & (condition >= self._condition - 1e-9)
+
+    def open(self, a: np.ndarray, b: np.ndarray) -> bool:
+        """Tell whether the straight way from a to b is free."""
+        return bool(self.free(self.line(a, b)).all())
+
+    @staticmethod
+    def line(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Sample the straight way from a to b, without a, with b."""
+        count = max(int(np.ceil(np.abs(b - a).max() / RESOLUTION_RAD)), 1)
+        return a + (b - a) * (np.arange(1, count + 1) / count)[:, None]
+
+    def _values(self, joints_rad: np.ndarray) -> tuple[np.ndarray, ...]:
+        task = self._task
+        seen = look(task.poses_of(joints_rad), task.camera, task.object_points_m,
+                    task.home_depth_m)
+        room = np.minimum(joints_rad - task.robot.lower_rad, task.robot.upper_rad - joints_rad)
+        smallest, sign = self._side(joints_rad)
+        return (room.min(axis=1), seen.border_px.min(axis=1), -seen.facing_rad,
+                np.where(sign * self._sign < 0.0, -smallest, smallest))
+
+    def _side(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        length_m = self._task.settings.conditioning_length_m
+        jacobian = object_jacobian(self._task.robot, joints_rad)
+        jacobian = jacobian * np.array([1.0 / length_m] * 3 + [1.0] * 3)[:, None]
+        smallest = np.linalg.svd(jacobian, compute_uv=False)[:, -1]
+        square = jacobian.shape[-1] == 6
+        return smallest, np.sign(np.linalg.det(jacobian)) if square else np.ones(len(jacobian))
+
+
+class _Tree:
+    """Configurations and where each came from."""
+
+    def __init__(self, root: np.ndarray) -> None:
+        self.nodes, self.parents = [root], [-1]
+
+    def nearest(self, target: np.ndarray) -> int:
+        return int(np.argmin(np.square(np.array(self.nodes) - target).sum(axis=1)))
+
+    def add(self, node: np.ndarray, parent: int) -> int:
+        self.nodes.append(node)
+        self.parents.append(parent)
+        return len(self.nodes) - 1
+
+    def way(self, index: int) -> list[np.ndarray]:
+        found = []
+        while index >= 0:
+            found.append(self.nodes[index])
+            index = self.parents[index]
+        return found[::-1]
+
+
+def search(space: JointSpace, start: np.ndarray, goals: np.ndarray, tries: int,
+           rng: np.random.Generator) -> np.ndarray | None:
+    """
+    Find a way through free configurations.
+
+    Parameters
+    ----------
+    space : JointSpace
+        What is free.
+    start : (n,) array
+        Where the way begins; counts as free.
+    goals : (K, n) array
+        Any of these will do; all free.
+    tries : int
+        How many configurations may be tried.
+    rng : numpy Generator
+        Makes the search repeatable.
+
+    Returns
+    -------
+    (M, n) array or None
+        Corners of the way, None when none was found.
+
+    """
+    trees = [_Tree(start), _Tree(goals[0])]
+    for goal in goals[1:]:
+        trees[1].add(goal, -1)
+    for attempt in range(tries):
+        here, there = trees if attempt % 2 == 0 else trees[::-1]
+        sample = rng.uniform(space.lower_rad, space.upper_rad)
+        new = _extend(space, here, sample, STRIDE_RAD)
+        if new is None:
+            continue
+        met = _extend(space, there, here.nodes[new], np.inf)
+        if met is not None and np.array_equal(there.nodes[met], here.nodes[new]):
+            ways = here.way(new), there.way(met)
+            forth, back = ways if here is trees[0] else ways[::-1]
+            return np.array(forth + back[::-1][1:])
+    return None
+
+
+def _extend(space: JointSpace, tree: _Tree, target: np.ndarray, stride: float) -> int | None:
+    """Grow a tree towards a target as far as the way is free, at most one stride."""
+    nearest = tree.nearest(target)
+    origin = tree.nodes[nearest]
+    distance = np.abs(target - origin).max()
+    if distance > stride:
+        target = origin + (target - origin) * (stride / distance)
+    line = space.line(origin, target)
+    free = space.free(line)
+    reach = len(line) if free.all() else int(np.argmin(free))
+    return None if reach == 0 else tree.add(target if reach == len(line) else line[reach - 1],
+                                            nearest)
+
+
+def shortened(space: JointSpace, way: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Replace detours between any two points of a way by straight lines where they are free."""
+    for _ in range(SHORTCUTS if len(way) > 2 else 0):
+        at = np.sort(rng.uniform(0.0, len(way) - 1.0, 2))
+        i, j = int(at[0]), int(at[1])
+        if i == j:
+            continue
+        a = way[i] + (way[i + 1] - way[i]) * (at[0] - i)
+        b = way[j] + (way[j + 1] - way[j]) * (at[1] - j)
+        if space.open(a, b):
+            way = np.concatenate([way[:i + 1], [a, b], way[j + 1:]])
+    return way
+
+
+def spread(way: np.ndarray, count: int) -> np.ndarray:
+    """Place configurations along a way, the same largest joint motion apart."""
+    step = np.abs(np.diff(way, axis=0)).max(axis=1)
+    at = np.concatenate([[0.0], np.cumsum(step)])
+    if at[-1] <= 0.0:
+        return np.repeat(way[:1], count, axis=0)
+    keep = np.concatenate([[True], step > 0.0])
+    where = np.linspace(0.0, at[-1], count)
+    placed = [np.interp(where, at[keep], column) for column in way[keep].T]
+    placed = np.column_stack(placed)
+    placed[-1] = way[-1]
+    return placed

@@ -1,0 +1,171 @@
+"""
+Repairs of a vetoed path, in the order in which they are tried.
+
+Each method yields proposals; the planner checks them in full and takes the first that
+can be executed. A method that has nothing to propose says why.
+"""
+
+from __future__ import annotations
+
+from typing import Callable, Iterator
+
+from homography_servo.geometry.path import FAMILIES
+from homography_servo.planning.feasibility import check_path
+from homography_servo.planning.joint_space import JointSpace
+from homography_servo.planning.joint_space import search
+from homography_servo.planning.joint_space import shortened
+from homography_servo.planning.joint_space import spread
+from homography_servo.planning.task import Proposal
+from homography_servo.planning.task import shared_out
+from homography_servo.planning.task import Task
+from homography_servo.robot.kinematics import inverse
+from homography_servo.robot.kinematics import object_pose
+import numpy as np
+
+TURNS = ('positive', 'negative')
+CALM_FAMILY = 'line'  # between via-poses: the image of the centre goes straight
+_SAMPLES = 400
+
+
+def hopeless(task: Task) -> str:
+    """
+    Say why no path whatever can help, empty if one might.
+
+    The start must be good itself, since a bad one loosens the limits.
+    """
+    settings = task.settings
+    ends = [check_path(pose[None], task.camera, task.object_points_m, None, None, settings)
+            for pose in (task.start, task.goal)]
+    if ends[0].ok and not ends[1].ok and ends[0].values.field_px[0] >= settings.field_margin_px:
+        return f'at the goal {ends[1].reasons[0]}'
+    if task.robot is None:
+        return ''
+    if len(task.goal_branches) == 0:
+        return 'no joints inside the limits put the object at the goal'
+    space = JointSpace(task)
+    if space.free(task.goal_branches).any():
+        return ''
+    return (f'all {len(task.goal_branches)} ways to hold the object at the goal are too near a '
+            'joint limit or singularity, or lie beyond a singularity')
+
+
+def other_turn(task: Task) -> Iterator[Proposal]:
+    """Turn gamma the long way round."""
+    taken = task.path()
+    for turn in TURNS:
+        poses = task.path(turn=turn)
+        if not same_way(poses, taken):
+            yield Proposal('the other turn of gamma', poses)
+
+
+def same_way(poses: np.ndarray, others: np.ndarray) -> bool:
+    """Tell whether two paths are the same."""
+    return bool(np.abs(poses - others).max() < 1e-9)
+
+
+def other_branch(task: Task) -> Iterator[Proposal]:
+    """Go over to other joints for the start pose first, then along the path."""
+    name = 'another branch of the inverse kinematics'
+    if task.robot is None:
+        return
+    branches = inverse(task.robot, object_pose(task.robot, task.joints_rad), task.joints_rad,
+                       task.settings.seed)
+    branches = [b for b in branches if np.abs(b - task.joints_rad).max() > 1e-3]
+    space = JointSpace(task)
+    usable = [b for b in branches if space.free(b)[0] and space.open(task.joints_rad, b)]
+    if not usable:
+        yield Proposal(name, None, (
+            f'{len(branches)} other branches at the start, none can be gone over to without '
+            'a singularity, a limit or leaving the view'))
+    path = task.path()
+    for branch in usable:
+        ways = [np.abs(branch - task.joints_rad).max(), 1.0]
+        first, _ = shared_out(task.count - 1, ways)
+        switch = spread(np.array([task.joints_rad, branch]), first + 1)
+        poses = np.concatenate([task.poses_of(switch), path[1:]])
+        yield Proposal(name, poses)
+
+
+def other_families(task: Task) -> Iterator[Proposal]:
+    """Take other interpolations, with both turns where they differ."""
+    for family in FAMILIES:
+        if family == 'paper':
+            continue
+        taken: list[np.ndarray] = []
+        for turn in ('shorter', *TURNS):
+            poses = task.path(family, turn)
+            if any(same_way(poses, other) for other in taken):
+                continue
+            taken.append(poses)
+            yield Proposal(f'the family {family} ({turn} turn)', poses)
+
+
+def via_poses(task: Task) -> Iterator[Proposal]:
+    """Go through a pose in between: the middle of the view first, then what the arm likes."""
+    stops = _calm_stops(task)
+    if task.robot is not None:
+        stops += _arm_stops(task, task.settings.via_tries - len(stops))
+    for number, stop in enumerate(stops[:task.settings.via_tries]):
+        poses = task.through([task.start, stop, task.goal], CALM_FAMILY)
+        yield Proposal(f'via-pose {number + 1}', poses)
+
+
+def _calm_stops(task: Task) -> list[np.ndarray]:
+    """Give poses on the optical axis, square to the camera, halfway in turn."""
+    middle = task.between(task.start, task.goal, 3, CALM_FAMILY)[1]
+    heading = np.arctan2(middle[1, 0], middle[0, 0])
+    stops = []
+    for turn in (0.0, np.pi / 2, -np.pi / 2):
+        stop = np.eye(4)
+        cos, sin = np.cos(heading + turn), np.sin(heading + turn)
+        stop[:2, :2] = [[cos, -sin], [sin, cos]]
+        stop[2, 3] = max(task.start[2, 3], task.goal[2, 3])
+        stops.append(stop)
+    return stops
+
+
+def _arm_stops(task: Task, count: int) -> list[np.ndarray]:
+    """Give poses at free joints that are a small detour, for any way to hold the goal."""
+    space = JointSpace(task)
+    goals = task.goal_branches[space.free(task.goal_branches)]
+    rng = np.random.default_rng(task.settings.seed)
+    samples = rng.uniform(space.lower_rad, space.upper_rad, (_SAMPLES, len(space.lower_rad)))
+    samples = samples[space.free(samples)]
+    if not len(goals) or not len(samples):
+        return []
+    onward = np.linalg.norm(samples[:, None] - goals[None], axis=2).min(axis=1)
+    detour = onward + np.linalg.norm(samples - task.joints_rad, axis=1)
+    best = samples[np.argsort(detour, kind='stable')[:max(count, 0)]]
+    return list(task.poses_of(best)) if len(best) else []
+
+
+def joint_space(task: Task) -> Iterator[Proposal]:
+    """Plan in joint space: straight to each way to hold the goal, then by search."""
+    if task.robot is None:
+        return
+    space = JointSpace(task)
+    goals = task.goal_branches[space.free(task.goal_branches)]
+    for number, goal in enumerate(goals):
+        yield _along(task, np.array([task.joints_rad, goal]),
+                     f'a straight path in joint space (branch {number + 1})')
+    rng = np.random.default_rng(task.settings.seed)
+    name = 'a searched path in joint space'
+    way = search(space, task.joints_rad, goals, task.settings.search_nodes, rng)
+    if way is None:
+        yield Proposal(name, None, (
+            f'no way found with {task.settings.search_nodes} tries that stays in view, inside '
+            'the joint limits and off singularities'))
+    else:
+        yield _along(task, shortened(space, way, rng), name)
+
+
+def _along(task: Task, way: np.ndarray, name: str) -> Proposal:
+    length = np.abs(np.diff(way, axis=0)).max(axis=1).sum()
+    count = max(task.count, int(np.ceil(length / (0.8 * task.settings.joint_step_rad))) + 1)
+    poses = task.poses_of(spread(way, count))
+    poses[0], poses[-1] = task.start, task.goal
+    return Proposal(name, poses)
+
+
+REPAIRS: tuple[Callable[[Task], Iterator[Proposal]], ...] = (
+    other_turn, other_branch, other_families, via_poses, joint_space)

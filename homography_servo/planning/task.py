@@ -1,0 +1,112 @@
+"""What is to be planned, and the few things that every planning method does with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+from homography_servo.geometry.camera import Camera
+from homography_servo.geometry.path import choose_count
+from homography_servo.geometry.path import interpolate
+from homography_servo.geometry.rigid import inverse as inverted
+from homography_servo.planning.feasibility import check_path
+from homography_servo.planning.feasibility import look
+from homography_servo.planning.follow import path_lengths
+from homography_servo.planning.settings import PlannerSettings
+from homography_servo.planning.verdict import Verdict
+from homography_servo.robot.kinematics import inverse
+from homography_servo.robot.kinematics import object_pose
+from homography_servo.robot.robot_file import Robot
+import numpy as np
+
+
+class Proposal(NamedTuple):
+    """A path to be checked, or the reason why there is none."""
+
+    name: str
+    poses: np.ndarray | None  # (N, 4, 4) home_from_object
+    reason: str = ''
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A start, a goal, and what is known of camera, object and arm."""
+
+    start: np.ndarray  # (4, 4) home_from_object, measured
+    goal: np.ndarray
+    camera: Camera
+    object_points_m: np.ndarray
+    robot: Robot | None
+    joints_rad: np.ndarray | None  # (n,) at the start
+    settings: PlannerSettings
+
+    @property
+    def home_depth_m(self) -> float:
+        """Depth of the virtual home pose."""
+        return self.settings.home_depth_m if self.robot is None else self.robot.home_depth_m
+
+    def check(self, poses: np.ndarray) -> Verdict:
+        """Judge a path in full."""
+        return check_path(poses, self.camera, self.object_points_m, self.robot,
+                          self.joints_rad, self.settings)
+
+    def path(self, family: str = 'paper', turn: str = 'shorter') -> np.ndarray:
+        """Interpolate from the start to the goal, with as many poses as asked for."""
+        return self.between(self.start, self.goal, self.count, family, turn)
+
+    def between(self, start: np.ndarray, goal: np.ndarray, count: int, family: str,
+                turn: str = 'shorter') -> np.ndarray:
+        """Interpolate between any two poses."""
+        return interpolate(start, goal, count, self.home_depth_m, family=family, turn=turn)
+
+    def through(self, stops: list[np.ndarray], family: str) -> np.ndarray:
+        """Interpolate from stop to stop, the poses shared out by the length of the ways."""
+        ways = [max(path_lengths(np.array(pair))[-1], 1e-9) for pair in zip(stops, stops[1:])]
+        counts = shared_out(self.count - 1, ways)
+        parts = [self.between(a, b, n + 1, family)[1:]
+                 for a, b, n in zip(stops, stops[1:], counts)]
+        return np.concatenate([stops[0][None], *parts])
+
+    @cached_property
+    def count(self) -> int:
+        """Number of poses of a path."""
+        limits = self.settings
+        if limits.poses:
+            return max(limits.poses, 2)
+        return choose_count(self.start, self.goal, self.home_depth_m, self.camera,
+                            self.object_points_m, limits.step_max_m, limits.step_max_rad,
+                            limits.step_max_px)
+
+    @cached_property
+    def seen_from_arm(self) -> np.ndarray:
+        """Give the shift (4, 4) from measured poses to those of the arm's model."""
+        return object_pose(self.robot, self.joints_rad) @ inverted(self.start)
+
+    @cached_property
+    def seen_from_camera(self) -> np.ndarray:
+        """Give the shift (4, 4) back."""
+        return inverted(self.seen_from_arm)
+
+    @cached_property
+    def goal_branches(self) -> np.ndarray:
+        """Find all joints (K, n) at the goal, the nearest to the start first."""
+        return inverse(self.robot, self.seen_from_arm @ self.goal, self.joints_rad,
+                       self.settings.seed)
+
+    def poses_of(self, joints_rad: np.ndarray) -> np.ndarray:
+        """Give the poses (N, 4, 4), as the camera would measure them, of joints (N, n)."""
+        return self.seen_from_camera @ object_pose(self.robot, joints_rad)
+
+    def corners(self, poses: np.ndarray) -> np.ndarray:
+        """Project the object's points (N, M, 2) at poses."""
+        return look(poses, self.camera, self.object_points_m, self.home_depth_m).points_px
+
+
+def shared_out(total: int, weights: list[float]) -> list[int]:
+    """Split a number of steps in proportion to weights, at least one each."""
+    ends = np.cumsum(weights) / np.sum(weights) * max(total, len(weights))
+    ends = np.round(ends).astype(int)
+    counts = np.maximum(np.diff(ends, prepend=0), 1)
+    counts[int(np.argmax(counts))] += max(total, len(weights)) - counts.sum()
+    return [int(n) for n in np.maximum(counts, 1)]
