@@ -151,8 +151,8 @@ def _page(trial: TrialData, figures: Sequence[tuple[str, str, str]]) -> str:
     return (f'<!doctype html><html lang="en"><head><meta charset="utf-8">'
             '<meta name="viewport" content="width=device-width, initial-scale=1">'
             f'<title>Servo trial</title><style>{STYLE}</style></head><body>'
-            '<h1>Servo trial</h1><p>An object in the hand of an arm, moved to where a fixed camera '
-            'should see it, along a path that was planned and checked first.</p>'
+            '<h1>Servo trial</h1><p>An object in the hand of an arm, moved to where a fixed '
+            'camera should see it, along a path that was planned and checked first.</p>'
             f'<p class="verdict {kind}">{escape(summary(trial))}</p>'
             f'{_cards(_overview(trial))}{shown}<h2>Every pose</h2>{table}'
             f'{_verdict_table(trial)}</body></html>\n')

@@ -27,8 +27,6 @@ from homography_servo.nodes.trial_log import ENDED
 from homography_servo.nodes.trial_log import STARTED
 from homography_servo.nodes.trial_log import TAUGHT
 import numpy as np
-import rclpy
-from rclpy.signals import SignalHandlerOptions
 
 START_DEG = (-50.0, 40.0, 10.0, -10.0, 0.0, -20.0)
 GOAL_DEG = (-5.0, 40.0, 10.0, -10.0, 0.0, -20.0)
@@ -49,7 +47,7 @@ def parser() -> argparse.ArgumentParser:
     about.add_argument('--output', default='report', metavar='FOLDER', type=Path)
     about.add_argument('--poses', type=int, metavar='N', help='number of poses of the path')
     about.add_argument('--start-deg', nargs='+', type=float, default=START_DEG, metavar='DEG',
-                       help='joints at the start (default: those of the paper\'s trial)')
+                       help='joints at the start (default: the trial of the paper)')
     about.add_argument('--goal-deg', nargs='+', type=float, default=GOAL_DEG, metavar='DEG',
                        help='joints at which the goal is taught')
     about.add_argument('--timeout', type=float, default=300.0, metavar='S',
@@ -194,7 +192,6 @@ def main(args: Sequence[str] | None = None) -> int:
         parser().error(f'--poses must be at least 2, got {options.poses}')
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     watch = SignalWatch()
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     bringup = None
     if options.bringup:
         bringup = Bringup(options.bringup, options.overrides, options.output / 'bringup.log')

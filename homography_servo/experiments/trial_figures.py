@@ -8,11 +8,8 @@ from typing import Sequence
 from homography_servo.experiments.trial_data import snapshot_indices
 from homography_servo.experiments.trial_data import TrialData
 from homography_servo.geometry.camera import Camera
-import matplotlib
+from matplotlib.figure import Figure
 import numpy as np
-
-matplotlib.use('Agg')
-from matplotlib import pyplot as plt  # noqa: E402 (after the choice of a screenless back end)
 
 PATH, HOME, NOW, PLAN = '#2a78c2', '#7a5195', '#d1495b', '#8a8f98'
 JOINT_COLOURS = ('#1b6ca8', '#d1495b', '#2e933c', '#edae49', '#7a5195', '#00798c')
@@ -37,7 +34,6 @@ def _image_axes(axes, size_px: tuple[int, int]) -> None:
 
 def _save(figure, path: Path) -> Path:
     figure.savefig(path, dpi=DPI)
-    plt.close(figure)
     return path
 
 
@@ -45,8 +41,8 @@ def paths_figure(trial: TrialData, camera: Camera, path: Path) -> Path:
     """Draw figure 2: four poses as planned and as seen, with p_0 and the path."""
     indices = snapshot_indices(len(trial.plan.corners_px))
     shots = {shot.index: shot for shot in trial.snapshots}
-    figure, grid = plt.subplots(len(indices), 2, figsize=(8.2, 3.1 * len(indices)),
-                                layout='constrained', squeeze=False)
+    figure = Figure(figsize=(8.2, 3.1 * len(indices)), layout='constrained')
+    grid = figure.subplots(len(indices), 2, squeeze=False)
     for row, index in zip(grid, indices):
         for axes in row:
             _image_axes(axes, (camera.width, camera.height))
@@ -93,8 +89,8 @@ def joints_figure(trial: TrialData, path: Path) -> Path:
     driven = [(pose.index, np.degrees(pose.joints_rad)) for pose in trial.poses
               if len(pose.joints_rad)]
     count = planned.shape[1] if planned.size else len(trial.joint_names)
-    figure, grid = plt.subplots(2, (count + 1) // 2, figsize=(9.6, 5.2), layout='constrained',
-                                sharex=True, squeeze=False)
+    figure = Figure(figsize=(9.6, 5.2), layout='constrained')
+    grid = figure.subplots(2, (count + 1) // 2, sharex=True, squeeze=False)
     for joint, axes in zip(range(count), grid.ravel()):
         if planned.size:
             axes.plot(np.arange(1, len(planned) + 1), planned[:, joint], color=PLAN,
@@ -122,8 +118,8 @@ def _at_least(axes, span: float) -> None:
 
 def errors_figure(trial: TrialData, path: Path) -> Path:
     """Draw the distance to the pose aimed at, against time."""
-    figure, (top, bottom) = plt.subplots(2, 1, figsize=(9.6, 4.6), sharex=True,
-                                         layout='constrained')
+    figure = Figure(figsize=(9.6, 4.6), layout='constrained')
+    top, bottom = figure.subplots(2, 1, sharex=True)
     rows = np.array(trial.errors, dtype=float).reshape(-1, 4)
     _error_line(top, rows[:, 0], 1e3 * rows[:, 2], 'position error [mm]')
     _error_line(bottom, rows[:, 0], np.degrees(rows[:, 3]), 'rotation error [deg]')

@@ -32,6 +32,7 @@ from rcl_interfaces.srv import SetParameters
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import Image
 from sensor_msgs.msg import JointState
@@ -78,6 +79,7 @@ class TrialClient:
     """
 
     def __init__(self, alive: Callable[[], str | None] = lambda: None) -> None:
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self.log = TrialLog()
         self._alive = alive
         self.node = Node('servo_trial')
