@@ -1,0 +1,117 @@
+"""
+Pose of a rectangle of known size, quick enough to be asked for every frame.
+
+The tracker needs it to tell a face from some other quadrilateral, and to know where
+the sides of the box behind the face must appear. The pose that goes to the robot
+comes from `geometry.pose`, which weighs covariances and keeps both minima.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from homography_servo.result import Rejected
+import numpy as np
+
+
+class FacePose(NamedTuple):
+    """Where the rectangle is, and how well its projection fits."""
+
+    rotation: np.ndarray  # (3, 3) camera from object
+    translation: np.ndarray  # (3,) [m]
+    miss: np.ndarray  # (N, 2) measured minus projected, normalised coordinates
+
+
+def pose_of_face(points_m: np.ndarray, rays: np.ndarray, start: FacePose | None = None,
+                 iterations: int = 4) -> FacePose | Rejected:
+    """
+    Fit a pose by Gauss-Newton on the projection error.
+
+    Parameters
+    ----------
+    points_m : (N, 3) array
+        Points of the object; the first four lie in z = 0 and are no three on a line.
+    rays : (N, 2) array
+        Their ideal normalised coordinates.
+    start : FacePose or None
+        A pose near by; None begins with the homography of the first four points.
+    iterations : int
+        Gauss-Newton steps.
+
+    Returns
+    -------
+    FacePose or Rejected
+
+    """
+    if start is None:
+        start = _from_homography(points_m[:4, :2], rays[:4])
+        if isinstance(start, Rejected):
+            return start
+    rotation, translation = start.rotation, start.translation
+    for _ in range(iterations):
+        miss, jacobian = _linearise(points_m, rays, rotation, translation)
+        step = np.linalg.lstsq(jacobian, miss.ravel(), rcond=1e-9)[0]
+        rotation, translation = _turned(rotation, step[:3]), translation + step[3:]
+        if not (np.isfinite(translation).all() and translation[2] > 1e-3):
+            return Rejected('the pose of the face does not converge')
+    miss, _ = _linearise(points_m, rays, rotation, translation)
+    return FacePose(rotation, translation, miss)
+
+
+def project(points_m: np.ndarray, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """Project points (N, 3) to normalised coordinates (N, 2)."""
+    points = points_m @ rotation.T + translation
+    return points[:, :2] / points[:, 2:]
+
+
+def projection_jacobian(points_m: np.ndarray, rotation: np.ndarray,
+                        translation: np.ndarray) -> np.ndarray:
+    """
+    Differentiate projected points by a small turn (camera axes) and shift of the object.
+
+    Returns
+    -------
+    (N, 2, 6) array
+        Columns rx, ry, rz, x, y, z.
+
+    """
+    turned = points_m @ rotation.T
+    points = turned + translation
+    inverse = 1.0 / points[:, 2]
+    x, y = points[:, 0] * inverse, points[:, 1] * inverse
+    a, b, c = turned.T * inverse
+    zero = np.zeros_like(x)
+    return np.stack([
+        np.stack([-x * b, c + x * a, -b, inverse, zero, -x * inverse], axis=1),
+        np.stack([-c - y * b, y * a, a, zero, inverse, -y * inverse], axis=1)], axis=1)
+
+
+def _linearise(points_m: np.ndarray, rays: np.ndarray, rotation: np.ndarray,
+               translation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    miss = rays - project(points_m, rotation, translation)
+    return miss, projection_jacobian(points_m, rotation, translation).reshape(-1, 6)
+
+
+def _turned(rotation: np.ndarray, small: np.ndarray) -> np.ndarray:
+    """Turn by a small rotation vector (Cayley's formula: stays a rotation)."""
+    x, y, z = 0.5 * small
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.linalg.solve(np.eye(3) - cross, np.eye(3) + cross) @ rotation
+
+
+def _from_homography(points_m: np.ndarray, rays: np.ndarray) -> FacePose | Rejected:
+    x, y = points_m.T
+    u, v = rays.T
+    one, zero = np.ones(4), np.zeros(4)
+    system = np.vstack([
+        np.column_stack([x, y, one, zero, zero, zero, -u * x, -u * y]),
+        np.column_stack([zero, zero, zero, x, y, one, -v * x, -v * y])])
+    try:
+        h = np.append(np.linalg.solve(system, np.concatenate([u, v])), 1.0).reshape(3, 3)
+    except np.linalg.LinAlgError:
+        return Rejected('the corners lie on a line')
+    h = h / np.sqrt(max(np.linalg.norm(h[:, 0]) * np.linalg.norm(h[:, 1]), 1e-12))
+    h = h if h[2, 2] > 0.0 else -h
+    left, _, right = np.linalg.svd(np.column_stack([h[:, :2], np.cross(h[:, 0], h[:, 1])]))
+    rotation = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    return FacePose(rotation, h[:, 2], np.zeros((4, 2)))

@@ -1,0 +1,217 @@
+"""
+Find the face in a picture without being told where it is.
+
+Bright and dark regions at several thresholds, and regions that edges enclose, whose
+outline is close to a convex quadrilateral are candidates. Each is fitted like in
+tracking and must look like the projection of a rectangle of the known proportions.
+
+A rectangle looks the same after half a turn. Which corner comes first is decided by
+the expected corners where they are given, else by taking the turn whose top side
+points most to the right (gamma closest to 0).
+"""
+
+from __future__ import annotations
+
+from typing import Iterator, NamedTuple
+
+import cv2
+from homography_servo.geometry.camera import Camera
+from homography_servo.geometry.face import face_corners
+from homography_servo.result import Rejected
+from homography_servo.tracking.face_pose import pose_of_face
+from homography_servo.tracking.profile import edge_profile
+from homography_servo.tracking.snake import fit_snake
+from homography_servo.tracking.snake import SnakeFit
+import numpy as np
+
+MIN_SIDE_PX = 8.0
+SHRUNK_BY_PX = 1.5  # a region between edges is smaller than the face by this
+WIDE_BLUR_PX = 2.0
+ENOUGH_CANDIDATES = 24
+FIELD_GUESS = 1.2  # focal length over image width of a camera nobody calibrated
+
+
+class Found(NamedTuple):
+    """A face that was found."""
+
+    fit: SnakeFit
+    score: float  # 0..1
+    shape_miss_px: float  # RMS of the corners about the nearest rectangle's projection
+
+
+def find_face(image: np.ndarray, face_size_m: tuple[float, float], camera: Camera | None,
+              blur_px: float, expected_px: np.ndarray | None = None,
+              polarity: int = 0) -> Found | Rejected:
+    """
+    Find the quadrilateral that looks most like the face.
+
+    Parameters
+    ----------
+    image : (H, W) uint8 array
+        Contiguous grey image.
+    face_size_m : (float, float)
+        Width and height of the face.
+    camera : Camera or None
+        Makes the check of the proportions sharp; a typical lens is assumed without it.
+    blur_px : float
+        Blur of the edges.
+    expected_px : (4, 2) array or None
+        Decides the order of the corners.
+    polarity : int
+        1 bright face, -1 dark face, 0 unknown.
+
+    Returns
+    -------
+    Found or Rejected
+
+    """
+    height, width = image.shape
+    if camera is None:
+        focal = FIELD_GUESS * max(width, height)
+        camera = Camera(focal, focal, 0.5 * (width - 1), 0.5 * (height - 1), width, height)
+    best, reason = None, 'no quadrilateral in the image'
+    for candidate in candidates(image):
+        found = examine(image, candidate, face_size_m, camera, blur_px, expected_px, polarity)
+        if isinstance(found, Rejected):
+            reason = found.reason
+        elif best is None or found.score > best.score:
+            best = found
+    return Rejected(reason) if best is None else best
+
+
+def candidates(image: np.ndarray) -> list[np.ndarray]:
+    """List distinct convex quadrilaterals (4, 2), clockwise on the screen, largest first."""
+    kept: list[np.ndarray] = []
+    for quad in _quadrilaterals(image):
+        centre, size = quad.mean(axis=0), np.sqrt(cv2.contourArea(quad.astype(np.float32)))
+        if not any(np.abs(quad.mean(axis=0) - other.mean(axis=0)).max() < 3.0
+                   and abs(size / np.sqrt(cv2.contourArea(other.astype(np.float32))) - 1.0) < 0.1
+                   for other in kept) and np.isfinite(centre).all():
+            kept.append(quad)
+    kept.sort(key=lambda quad: -cv2.contourArea(quad.astype(np.float32)))
+    return kept[:ENOUGH_CANDIDATES]
+
+
+def _quadrilaterals(image: np.ndarray) -> Iterator[np.ndarray]:
+    smooth = cv2.GaussianBlur(image, (5, 5), 0)
+    edges = cv2.Canny(smooth, 40, 80)
+    closed = cv2.bitwise_not(cv2.dilate(edges, np.ones((3, 3), np.uint8)))
+    yield from _from_regions(closed, SHRUNK_BY_PX)
+    low, high = np.percentile(smooth[::4, ::4], (2.0, 98.0))
+    for level in np.linspace(low, high, 9)[1:-1]:
+        yield from _from_regions((smooth > level).astype(np.uint8), 0.0)
+
+
+def _from_regions(mask: np.ndarray, grow_px: float) -> Iterator[np.ndarray]:
+    """List the quadrilaterals among the outlines of a mask."""
+    outlines = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)[-2]
+    limit = 0.6 * mask.size
+    for outline in outlines:
+        if len(outline) < 4:
+            continue
+        area = cv2.contourArea(outline)
+        if not MIN_SIDE_PX ** 2 < area < limit:
+            continue
+        quad = _four_corners(outline, area)
+        if quad is not None:
+            yield _grown(quad, grow_px)
+
+
+def _four_corners(outline: np.ndarray, area: float) -> np.ndarray | None:
+    """Simplify an outline to four corners, clockwise on the screen, or None."""
+    length = cv2.arcLength(outline, True)
+    for share in (0.02, 0.04, 0.07):
+        simple = cv2.approxPolyDP(outline, share * length, True)[:, 0, :].astype(float)
+        if len(simple) == 4:
+            break
+    else:
+        return None
+    edge = np.roll(simple, -1, axis=0) - simple
+    after = np.roll(edge, -1, axis=0)
+    cross = edge[:, 0] * after[:, 1] - edge[:, 1] * after[:, 0]
+    if (cross < 0.0).all():
+        simple, cross = simple[::-1], -cross
+    sides = np.hypot(edge[:, 0], edge[:, 1])
+    if not (cross > 0.0).all() or sides.min() < MIN_SIDE_PX:
+        return None
+    own = cv2.contourArea(simple.astype(np.float32))
+    return simple if 0.85 < area / own < 1.15 else None
+
+
+def _grown(quad: np.ndarray, by_px: float) -> np.ndarray:
+    away = quad - quad.mean(axis=0)
+    return quad + by_px * 1.4 * away / np.linalg.norm(away, axis=1, keepdims=True)
+
+
+def examine(image: np.ndarray, quad: np.ndarray, face_size_m: tuple[float, float],
+            camera: Camera, blur_px: float, expected_px: np.ndarray | None,
+            polarity: int) -> Found | Rejected:
+    """Fit a candidate and check that it can be the face."""
+    if shape_miss(quad, face_size_m, camera)[0] > 0.12 * _size(quad) + 3.0:
+        return Rejected('the proportions are not those of the face')
+    wide = fit_snake(image, quad, edge_profile(WIDE_BLUR_PX), 8, 3, 2, sure_px=1.0,
+                     polarity=polarity)
+    if isinstance(wide, Rejected):
+        return wide
+    fit = fit_snake(image, wide.corners, edge_profile(blur_px), 6, 1, 3, polarity=polarity)
+    if isinstance(fit, Rejected):
+        return fit
+    if fit.quality.inlier_share < 0.6 or fit.quality.side_share.min() < 0.3:
+        return Rejected('the edges do not support the quadrilateral')
+    miss_px, turn = shape_miss(fit.corners, face_size_m, camera, expected_px)
+    allowed_px = 0.02 * _size(fit.corners) + 0.5
+    if miss_px > allowed_px:
+        return Rejected('the proportions are not those of the face')
+    score = fit.quality.inlier_share * fit.quality.side_share.min() \
+        * (1.0 - 0.5 * miss_px / allowed_px)
+    return Found(turned_fit(fit, turn), float(score), miss_px)
+
+
+def shape_miss(quad: np.ndarray, face_size_m: tuple[float, float], camera: Camera,
+               expected_px: np.ndarray | None = None) -> tuple[float, int]:
+    """
+    Measure how far a quadrilateral is from a view of the rectangle.
+
+    Returns
+    -------
+    float, int
+        RMS of the corners [px] in the best of the turns the proportions allow, and by
+        how many places the corners must be rolled to come in the right order.
+
+    """
+    points_m = face_corners(*face_size_m)
+    rays, focal = camera.rays(quad), 0.5 * (camera.fx + camera.fy)
+    missed = []
+    for turn in (0, 1):
+        pose = pose_of_face(points_m, np.roll(rays, -turn, axis=0))
+        missed.append(np.inf if isinstance(pose, Rejected)
+                      else focal * float(np.sqrt(np.mean(pose.miss ** 2))))
+    turns = [0, 2] if missed[0] <= missed[1] else [1, 3]
+    if abs(face_size_m[0] / face_size_m[1] - 1.0) < 0.02:
+        turns = [0, 1, 2, 3]
+    return min(missed), min(turns, key=lambda turn: _turn_cost(quad, turn, expected_px))
+
+
+def _turn_cost(quad: np.ndarray, turn: int, expected_px: np.ndarray | None) -> float:
+    corners = np.roll(quad, -turn, axis=0)
+    if expected_px is not None:
+        away = (corners - corners.mean(axis=0)) - (expected_px - expected_px.mean(axis=0))
+        return float(np.abs(away).sum())
+    top = corners[1] - corners[0] + corners[2] - corners[3]
+    return abs(float(np.arctan2(top[1], top[0])))
+
+
+def turned_fit(fit: SnakeFit, turn: int) -> SnakeFit:
+    """Begin the corners of a fit with another one."""
+    if turn == 0:
+        return fit
+    order = np.roll(np.arange(4), -turn)
+    both = (2 * order[:, None] + np.arange(2)).ravel()
+    edges = fit.edges._replace(side=(fit.edges.side - turn) % 4)
+    quality = fit.quality._replace(side_share=fit.quality.side_share[order])
+    return fit._replace(corners=fit.corners[order], covariance=fit.covariance[np.ix_(both, both)],
+                        edges=edges, quality=quality)
+
+
+def _size(quad: np.ndarray) -> float:
+    return float(np.sqrt(cv2.contourArea(quad.astype(np.float32))))

@@ -1,0 +1,66 @@
+"""Where the corners will be in the next picture."""
+
+from __future__ import annotations
+
+from homography_servo.tracking.snake import Prior
+import numpy as np
+
+FREE_SIGMA_PX = 1e3  # common shift, turn and scale are left to the picture
+LARGEST_PAUSE_S = 1.0
+
+
+class Motion:
+    """
+    Constant velocity of every corner.
+
+    The prior it gives leaves the common shift, turn and scale of the face to the
+    measurement and holds the rest of its shape softly, so that a corner or a side
+    that is hidden follows the visible ones.
+    """
+
+    def __init__(self) -> None:
+        self._corners: np.ndarray | None = None
+        self._velocity: np.ndarray | None = None
+        self._stamp_s = 0.0
+        self._period_s = 1.0 / 30.0
+
+    def period(self, stamp_s: float) -> float:
+        """Give the time since the last measurement [s]; the usual one after a clock jump."""
+        elapsed_s = stamp_s - self._stamp_s
+        return elapsed_s if 0.0 < elapsed_s < LARGEST_PAUSE_S else self._period_s
+
+    def measured(self, corners: np.ndarray, stamp_s: float) -> None:
+        """Take in a trusted measurement."""
+        if self._corners is not None:
+            self._period_s = self.period(stamp_s)
+            self._velocity = (corners - self._corners) / self._period_s
+        self._corners, self._stamp_s = corners, stamp_s
+
+    def predict(self, stamp_s: float) -> Prior:
+        """Give the corners expected at a time, and their prior."""
+        if self._corners is None:
+            raise ValueError('nothing has been measured yet')
+        moved = np.zeros_like(self._corners)
+        if self._velocity is not None:
+            moved = self._velocity * self.period(stamp_s)
+        shape_sigma_px = 1.0 + 0.1 * float(np.abs(moved).max())
+        return shape_prior(self._corners + moved, shape_sigma_px)
+
+
+def shape_prior(corners: np.ndarray, shape_sigma_px: float) -> Prior:
+    """Hold the shape of a polygon but not its place, direction and size."""
+    free = similarity_basis(corners)
+    covariance = shape_sigma_px ** 2 * np.eye(corners.size) \
+        + FREE_SIGMA_PX ** 2 * free @ free.T
+    return Prior(corners, np.linalg.inv(covariance))
+
+
+def similarity_basis(corners: np.ndarray) -> np.ndarray:
+    """Give orthonormal columns (2m, 4) of common shift, turn and scale."""
+    away = corners - corners.mean(axis=0)
+    length = np.sqrt((away ** 2).sum())
+    basis = np.zeros((*corners.shape, 4))
+    basis[:, 0, 0] = basis[:, 1, 1] = len(corners) ** -0.5
+    basis[:, :, 2] = away / length
+    basis[:, 0, 3], basis[:, 1, 3] = -away[:, 1] / length, away[:, 0] / length
+    return basis.reshape(corners.size, 4)
