@@ -25,6 +25,8 @@ from homography_servo.result import Rejected
 import numpy as np
 
 ITERATIONS = 3
+WIDEN_ABOVE = 4.0  # mean squared surprise: twice the expected deviation
+FORGET_ABOVE = 25.0
 ARM_LENGTH_M = 0.3  # a rotation and a translation of the object compare by this length
 
 
@@ -118,6 +120,7 @@ class LookFilter:
         self.model = self._believed
         self._covariance = np.diag(self.model.variances(self._prior))
         self._last_setpoint: np.ndarray | None = None
+        self._doubted = False
         self.looks = 0
         self.surprise = 0.0  # squared innovation over its expectation; about 1 when all is well
 
@@ -130,17 +133,32 @@ class LookFilter:
         sensitivity = self.model.sensitivity(setpoint)
         return sensitivity @ self._covariance @ sensitivity.T
 
-    def update(self, look: Look, setpoint: np.ndarray) -> None:
-        """Take in one look at the object while the model was at a setpoint."""
+    def update(self, look: Look, setpoint: np.ndarray) -> bool:
+        """
+        Take in one look at the object while the model was at a setpoint.
+
+        A look that contradicts all before it is left out once; when the next one
+        does so too, what was known is forgotten.
+
+        Returns
+        -------
+        bool
+            Whether the look was taken.
+
+        """
         self._drift_to(setpoint)
+        if not self._believes(look, setpoint):
+            return False
+        self._correct(look, setpoint)
+        self.looks += 1
+        return True
+
+    def _correct(self, look: Look, setpoint: np.ndarray) -> None:
         change = np.zeros(len(self._covariance))
         model = self.model
-        for iteration in range(ITERATIONS):
-            rays, by_twist = rays_of(model.pose(setpoint), self._points_m, self._home_depth_m)
-            by_error = by_twist @ model.sensitivity(setpoint)
+        for _ in range(ITERATIONS):
+            rays, by_error = self._expect(model, setpoint)
             innovation = look.rays - rays + by_error @ change
-            if iteration == 0:
-                self._widen(innovation, by_error, look.covariance)
             spread = by_error @ self._covariance @ by_error.T + look.covariance
             gain = np.linalg.solve(spread, by_error @ self._covariance).T
             step = gain @ innovation - change
@@ -152,7 +170,11 @@ class LookFilter:
         # Joseph's form stays positive when looks are far sharper than the prior.
         self._covariance = (keep @ self._covariance @ keep.T
                             + gain @ look.covariance @ gain.T)
-        self.model, self.looks = model, self.looks + 1
+        self.model = model
+
+    def _expect(self, model: BodyModel, setpoint: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        rays, by_twist = rays_of(model.pose(setpoint), self._points_m, self._home_depth_m)
+        return rays, by_twist @ model.sensitivity(setpoint)
 
     def _drift_to(self, setpoint: np.ndarray) -> None:
         if self._last_setpoint is not None:
@@ -164,8 +186,19 @@ class LookFilter:
             self._covariance[:6, :6] += (left * sigma ** 2) @ left.T
         self._last_setpoint = np.array(setpoint, dtype=float)
 
-    def _widen(self, innovation: np.ndarray, by_error: np.ndarray, noise: np.ndarray) -> None:
-        spread = by_error @ self._covariance @ by_error.T + noise
+    def _believes(self, look: Look, setpoint: np.ndarray) -> bool:
+        rays, by_error = self._expect(self.model, setpoint)
+        innovation = look.rays - rays
+        spread = by_error @ self._covariance @ by_error.T + look.covariance
         self.surprise = float(innovation @ np.linalg.solve(spread, innovation)) / len(innovation)
-        if self.surprise > 4.0 and self.looks:
-            self._covariance *= min(self.surprise, 1e4)
+        doubted, self._doubted = self._doubted, False
+        if self.surprise <= WIDEN_ABOVE or not self.looks:
+            return True
+        if self.surprise <= FORGET_ABOVE:
+            self._covariance *= self.surprise
+            return True
+        if not doubted:
+            self._doubted = True
+            return False
+        self._covariance = np.diag(self.model.variances(self._prior))
+        return True

@@ -256,8 +256,7 @@ class Servo:
             setpoint = joints.at(stamp_s, ahead_s=self.settings.joint_timeout_s)
             if stamp_s < stood_s or setpoint is None:
                 continue
-            self.filter.update(look, setpoint)
-            taken += 1
+            taken += self.filter.update(look, setpoint)
         self._attempt.looks += taken
         self._attempt.looks_since_stop += taken
         return taken > 0
