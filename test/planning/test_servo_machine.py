@@ -1,0 +1,263 @@
+"""The servo's states in a world without images: convergence, holds, refusals, stops."""
+
+import math
+
+from homography_servo.planning.arm_model import ArmModel
+from homography_servo.planning.control import displacement
+from homography_servo.planning.control import errors_of
+from homography_servo.planning.servo import DONE
+from homography_servo.planning.servo import FAILED
+from homography_servo.planning.servo import HOLD
+from homography_servo.planning.servo import IDLE
+from homography_servo.planning.servo import Servo
+from homography_servo.planning.servo_settings import ServoSettings
+from homography_servo.result import Rejected
+import numpy as np
+import pytest
+from servo_setup import GOAL_RAD
+from servo_setup import ROBOT
+from servo_setup import START_RAD
+from servo_setup import straight_path
+from servo_setup import world
+from servo_setup import wrong_arm
+
+FINAL = (0.7e-3, 2e-3, math.radians(0.5), math.radians(2.0))
+
+
+def moves(run):
+    return [(at_s, c) for at_s, c in run.commands if c.joints_rad is not None]
+
+
+def stops(run):
+    return [at_s for at_s, c in run.commands if c.joints_rad is None]
+
+
+def final_errors(run):
+    goal = straight_path(run.truth)[-1]
+    return errors_of(displacement(run.true_pose, goal))
+
+
+def started(seconds=1.0, **kwargs):
+    """Give a world whose servo has been on its way for a while."""
+    run = world(**kwargs)
+    run.run(0.4)
+    assert run.servo.start(run.now_s)
+    run.run(seconds)
+    assert run.servo.active
+    return run
+
+
+@pytest.mark.parametrize('truth', [ArmModel(ROBOT), wrong_arm(1), wrong_arm(2)],
+                         ids=['exact', 'wrong', 'wrong too'])
+def test_trial_ends_within_the_bounds_in_time(truth):
+    run = world(seed=4, truth=truth)
+    start_s = run.now_s + 0.4
+    run.finish()
+    assert run.servo.state == DONE, run.servo.state_text
+    assert all(e < bound for e, bound in zip(final_errors(run), FINAL))
+    motion_s = sum(c.time_s for _, c in moves(run))
+    assert run.now_s - start_s < 2.0 * motion_s + len(moves(run)) / 30.0
+    assert run.servo.progress.pose == run.servo.progress.of == 31
+
+
+def test_commands_keep_the_limits_of_the_joints():
+    run = world(seed=1)
+    run.finish()
+    here = START_RAD
+    for _, command in moves(run):
+        assert (command.joints_rad > ROBOT.lower_rad).all()
+        assert (command.joints_rad < ROBOT.upper_rad).all()
+        size = np.abs(command.joints_rad - here)
+        assert (1.5 * size / command.time_s < ROBOT.velocity_rad_s + 1e-2).all()
+        here = command.joints_rad
+
+
+@pytest.mark.parametrize('cut, back, word', [('see', 5, 'sight'), ('feel', 1, 'joint_states')])
+def test_lost_input_holds_at_once_and_goes_on_by_itself(cut, back, word):
+    run = started()
+    setattr(run, cut, False)
+    lost_s = run.now_s
+    run.run(1.0)
+    assert run.servo.state == HOLD and word in run.servo.reason
+    assert stops(run) and stops(run)[0] - lost_s < 0.30
+    assert not [at_s for at_s, _ in moves(run) if at_s > stops(run)[0]]
+    setattr(run, cut, True)
+    run.run(60.0, lambda: not run.servo.active)
+    assert run.servo.state == DONE
+    assert all(e < bound for e, bound in zip(final_errors(run), FINAL))
+
+
+def test_vision_must_be_back_for_some_looks():
+    run = started()
+    run.see = False
+    run.run(1.0)
+    run.see = True
+    run.run(0.1)  # three frames
+    assert run.servo.state == HOLD and 'waiting for 5' in run.servo.reason
+
+
+def test_every_second_frame_lost_does_not_matter():
+    run = world(seed=2)
+    rng, measure = np.random.default_rng(2), run.measure
+    run.measure = lambda pose: measure(pose) if rng.random() < 0.5 else None
+    run.finish()
+    assert run.servo.state == DONE
+
+
+def test_pause_holds_and_taking_it_back_goes_on():
+    run = started()
+    run.servo.pause(True)
+    run.run(1.0)
+    assert run.servo.state_text == 'HOLD: paused by the operator'
+    held_rad = run.joints_at(run.now_s)
+    run.run(1.0)
+    assert run.joints_at(run.now_s) == pytest.approx(held_rad)
+    run.servo.pause(False)
+    run.run(60.0, lambda: not run.servo.active)
+    assert run.servo.state == DONE
+
+
+def test_stop_is_immediate_and_final_until_start():
+    run = started()
+    run.servo.stop()
+    assert run.servo.tick(run.now_s).joints_rad is None
+    assert run.servo.state == IDLE
+    run.run(1.0)
+    count = len(run.commands)
+    run.run(2.0)
+    assert len(run.commands) == count
+    assert run.servo.start(run.now_s)
+    run.run(60.0, lambda: not run.servo.active)
+    assert run.servo.state == DONE
+
+
+@pytest.mark.parametrize('prepare, word', [
+    (lambda r: r.servo.set_focal(None), 'camera_info'),
+    (lambda r: setattr(r, 'see', False), 'never seen'),
+    (lambda r: setattr(r, 'feel', False), 'joint_states'),
+    (lambda r: r.servo.pause(True), 'paused'),
+    (lambda r: r.servo.set_path(np.zeros((0, 4, 4)), True, ''), 'empty'),
+    (lambda r: r.servo.set_path(straight_path(r.truth), False, 'pose 3: joint2 beyond its limit'),
+     'joint2'),
+])
+def test_start_is_refused_with_a_sentence_and_nothing_moves(prepare, word):
+    run = world()
+    prepare(run)
+    run.run(0.5)
+    answer = run.servo.start(run.now_s)
+    assert isinstance(answer, Rejected) and word in answer.reason
+    run.run(0.5)
+    assert not run.commands and run.servo.state == IDLE
+
+
+def test_start_without_any_path_is_refused():
+    assert 'no path' in Servo(ROBOT).start(0.0).reason
+
+
+def test_start_far_from_the_path_fails_with_the_distance():
+    run = world()
+    away = straight_path(run.truth)
+    away[:, 0, 3] += 0.2
+    run.servo.set_path(away, True, '')
+    run.finish()
+    assert run.servo.state == FAILED and '200 mm' in run.servo.reason
+    assert not moves(run)
+
+
+def test_new_path_in_mid_motion_is_taken_over_without_a_stop():
+    run = started(3.0)
+    halfway = 0.5 * (START_RAD + GOAL_RAD)
+    path = straight_path(run.truth, 31, START_RAD, halfway)
+    run.servo.set_path(path, True, '')
+    run.run(60.0, lambda: not run.servo.active)
+    assert run.servo.state == DONE and not stops(run)
+    assert all(e < bound for e, bound in zip(
+        errors_of(displacement(run.true_pose, path[-1])), FINAL))
+
+
+def test_new_veto_in_mid_motion_stops():
+    run = started()
+    run.servo.set_path(straight_path(run.truth), False, 'pose 7 leaves the image')
+    run.run(0.1)
+    assert run.servo.state == FAILED and 'pose 7 leaves the image' in run.servo.reason
+    assert len(stops(run)) == 1
+
+
+def test_arm_that_does_not_obey_holds_and_goes_on_when_it_does():
+    run = started()
+    run.obey = False
+    run.run(3.0)
+    assert any(text.startswith('HOLD: the arm does not move') for _, text in run.states)
+    run.obey = True
+    run.run(60.0, lambda: not run.servo.active)
+    assert run.servo.state == DONE
+
+
+def test_arm_that_moved_unseen_needs_a_new_start():
+    run = started()
+    run.feel = False
+    run.run(1.0)
+    run._motion._to = run._motion._to + 0.4
+    run.feel = True
+    run.run(1.0)
+    assert run.servo.state == FAILED and 'while joint_states were missing' in run.servo.reason
+
+
+def test_noise_above_the_tolerance_is_said():
+    run = world(noise_px=3.0, settings=ServoSettings(looks_max=20))
+    run.finish()
+    assert run.servo.state == FAILED
+    assert 'cannot be reached with this noise' in run.servo.reason
+
+
+def test_joint_at_its_limit_is_named():
+    start = START_RAD.copy()
+    start[0] = np.radians(60.0)
+    beyond = start.copy()
+    beyond[0] = np.radians(84.0)
+    run = world()
+    run._motion.__init__(start)
+    run.servo.set_path(straight_path(run.truth, 20, start, beyond), True, '')
+    run.finish()
+    assert run.servo.state == FAILED and 'joint1 is at its limit' in run.servo.reason
+    assert max(c.joints_rad[0] for _, c in moves(run)) < ROBOT.upper_rad[0]
+
+
+@pytest.mark.parametrize('jump_s', (-3600.0, 3600.0))
+def test_clock_jump_changes_nothing(jump_s):
+    run = started()
+    run.stamp_offset_s += jump_s
+    run.run(60.0, lambda: not run.servo.active)
+    assert run.servo.state == DONE
+    assert not any(text.startswith(HOLD) for _, text in run.states)
+
+
+@pytest.mark.parametrize('stamp_s, word', [(0.0, 'no time stamp'), (5.0, 'older'), (5.2, 'older')])
+def test_bad_stamps_of_images_are_refused(stamp_s, word):
+    servo, pose, covariance = Servo(ROBOT), np.eye(4), 1e-6 * np.eye(6)
+    assert servo.add_look(pose, covariance, 5.2, 1.0) is None
+    assert word in servo.add_look(pose, covariance, stamp_s, 1.1).reason
+
+
+def test_bad_joint_states_are_refused():
+    servo = Servo(ROBOT)
+    assert servo.add_joints(START_RAD, 5.0, 1.0) is None
+    assert 'finite' in servo.add_joints(np.full(6, np.nan), 5.1, 1.1).reason
+    assert 'older' in servo.add_joints(START_RAD, 4.9, 1.2).reason
+    assert 'older' in servo.add_joints(START_RAD, 5.0, 1.2).reason
+
+
+def test_looks_during_motion_are_not_used():
+    run = world(seed=3)
+    run.measure_moving = True
+    measure = run.measure
+
+    def liar(pose):
+        moving = np.abs(run._motion.at(run.now_s + 1e-3) - run._motion.at(run.now_s)).max() > 1e-7
+        home_from_object, covariance = measure(pose)
+        home_from_object[:3, 3] += 0.05 * moving
+        return home_from_object, covariance
+    run.measure = liar
+    run.finish()
+    assert run.servo.state == DONE
+    assert all(e < bound for e, bound in zip(final_errors(run), FINAL))
