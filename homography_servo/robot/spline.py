@@ -1,0 +1,145 @@
+"""Joint splines: pieces of polynomials of degree five at most, joined at knots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+_SAMPLES = np.linspace(0.0, 1.0, 33)
+
+
+class Sample(NamedTuple):
+    """State of all joints at one time (or many: one row each)."""
+
+    positions: np.ndarray
+    velocities: np.ndarray
+    accelerations: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Knots:
+    """
+    What a spline passes through.
+
+    Parameters
+    ----------
+    times_s : (K,) array
+        Strictly increasing.
+    positions : (K, n) array
+    velocities : (K, n) array or None
+        None makes the pieces straight lines.
+    accelerations : (K, n) array or None
+        None makes the pieces cubic.
+
+    """
+
+    times_s: np.ndarray
+    positions: np.ndarray
+    velocities: np.ndarray | None = None
+    accelerations: np.ndarray | None = None
+
+
+class Spline:
+    """Passes through knots; before the first and after the last it stands."""
+
+    def __init__(self, knots: Knots) -> None:
+        self.knots = knots
+        self.times_s = np.asarray(knots.times_s, dtype=float)
+        spans = np.diff(self.times_s)
+        if len(self.times_s) < 2 or not np.all(spans > 0.0):
+            raise ValueError(f'times_s must be 2 or more and increase, got {self.times_s}')
+        self._spans = spans
+        self._pieces = _pieces(knots, spans[:, None])
+
+    @property
+    def duration_s(self) -> float:
+        """Time of the last knot."""
+        return float(self.times_s[-1])
+
+    def sample(self, time_s: float | np.ndarray) -> Sample:
+        """Give the state at a time, or one row for each of many times."""
+        time_s = np.asarray(time_s, dtype=float)
+        inside = np.clip(time_s, self.times_s[0], self.times_s[-1])
+        piece = np.searchsorted(self.times_s[1:-1], inside, side='right')
+        state = self._evaluate(piece, inside - self.times_s[piece])
+        stands = (time_s < self.times_s[0]) | (time_s >= self.times_s[-1])
+        moving = np.where(stands, 0.0, 1.0)[..., None]
+        return Sample(state.positions, state.velocities * moving, state.accelerations * moving)
+
+    def _evaluate(self, piece: np.ndarray, since_s: np.ndarray) -> Sample:
+        t = np.asarray(since_s)[..., None]
+        c = [self._pieces[power][piece] for power in range(6)]
+        return Sample(
+            c[0] + t * (c[1] + t * (c[2] + t * (c[3] + t * (c[4] + t * c[5])))),
+            c[1] + t * (2 * c[2] + t * (3 * c[3] + t * (4 * c[4] + t * 5 * c[5]))),
+            2 * c[2] + t * (6 * c[3] + t * (12 * c[4] + t * 20 * c[5])))
+
+    def dense(self) -> Sample:
+        """Sample every piece at both ends and between; each field is (K - 1, 33, n)."""
+        piece = np.arange(len(self._spans))[:, None] + np.zeros(len(_SAMPLES), dtype=int)
+        return self._evaluate(piece, self._spans[:, None] * _SAMPLES)
+
+
+def _pieces(knots: Knots, span: np.ndarray) -> np.ndarray:
+    """Fit the pieces to their ends; (6, K - 1, n), power by power."""
+    position = np.asarray(knots.positions, dtype=float)
+    pieces = np.zeros((6, len(span), position.shape[1]))
+    pieces[0] = position[:-1]
+    step = np.diff(position, axis=0)
+    if knots.velocities is None:
+        pieces[1] = step / span
+        return pieces
+    velocity = np.asarray(knots.velocities, dtype=float)
+    v0, v1 = velocity[:-1], velocity[1:]
+    pieces[1] = v0
+    if knots.accelerations is None:
+        pieces[2] = (3.0 * step / span - 2.0 * v0 - v1) / span
+        pieces[3] = (v0 + v1 - 2.0 * step / span) / span**2
+        return pieces
+    acceleration = np.asarray(knots.accelerations, dtype=float)
+    a0, a1 = acceleration[:-1], acceleration[1:]
+    rest = step - span * (v0 + 0.5 * span * a0)
+    slope = (v1 - v0 - span * a0) * span
+    bend = (a1 - a0) * span**2
+    pieces[2] = 0.5 * a0
+    pieces[3] = (10.0 * rest - 4.0 * slope + 0.5 * bend) / span**3
+    pieces[4] = (-15.0 * rest + 7.0 * slope - bend) / span**4
+    pieces[5] = (6.0 * rest - 3.0 * slope + 0.5 * bend) / span**5
+    return pieces
+
+
+def monotone_velocities(times_s: np.ndarray, positions: np.ndarray, first: np.ndarray,
+                        last: np.ndarray) -> np.ndarray:
+    """
+    Choose velocities at knots so that cubic pieces never leave the range of their ends.
+
+    Inside, the harmonic mean of the slopes on both sides, 0 where the direction turns
+    (Fritsch and Butland, 1984, doi:10.1137/0905021). At the ends, what is given.
+
+    Parameters
+    ----------
+    times_s : (K,) array
+        Strictly increasing.
+    positions : (K, n) array
+        Knots.
+    first, last : (n,) array
+        Velocities at the ends.
+
+    Returns
+    -------
+    (K, n) array
+        Velocities.
+
+    """
+    spans = np.diff(times_s)[:, None]
+    slopes = np.diff(positions, axis=0) / spans
+    velocities = np.empty_like(positions)
+    velocities[0], velocities[-1] = first, last
+    before, after = slopes[:-1], slopes[1:]
+    w1, w2 = 2.0 * spans[1:] + spans[:-1], spans[1:] + 2.0 * spans[:-1]
+    same = before * after > 0.0
+    safe_before, safe_after = np.where(same, before, 1.0), np.where(same, after, 1.0)
+    velocities[1:-1] = np.where(same, (w1 + w2) / (w1 / safe_before + w2 / safe_after), 0.0)
+    return velocities

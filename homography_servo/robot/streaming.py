@@ -1,0 +1,133 @@
+"""Targets for the servos along a trajectory: whole numbers, and never two too far apart."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from homography_servo.robot.robot_file import Robot
+from homography_servo.robot.servo_units import from_units
+from homography_servo.robot.servo_units import to_units
+from homography_servo.robot.servo_units import unit_range
+from homography_servo.robot.servo_units import velocity_units_s
+from homography_servo.robot.trajectory import State
+from homography_servo.robot.trajectory import Trajectory
+import numpy as np
+
+_HALVINGS = 7
+# A process that slept goes on from where it was, it does not jump after the clock.
+_LONGEST_STEP_S = 0.1
+
+
+class Target(NamedTuple):
+    """What to send now."""
+
+    units: np.ndarray  # (n,) int, in joint order
+    joints_rad: np.ndarray  # (n,) before rounding
+    velocities_rad_s: np.ndarray  # (n,)
+    late_s: float  # how far the motion is behind its own times
+    done: bool  # the trajectory has ended, or there is none
+
+
+class TargetStream:
+    """
+    Walk along trajectories, one target a step.
+
+    The speed between any two targets is kept below the velocity limits as it will be on the
+    wire: after rounding and by the times at which they are sent. Where the trajectory wants
+    more, because steps come late or rounding adds up, it is followed later: all joints wait
+    together. How much later is in each target (`late_s`).
+
+    Parameters
+    ----------
+    robot : Robot
+        Limits and servo mapping.
+    units : (n,) array of int
+        Where the servos are told to be now.
+    now_s : float
+        The time of any steady clock.
+    margin_rad : float
+        Margin of the limits at which rounding goes inwards.
+
+    """
+
+    def __init__(self, robot: Robot, units: np.ndarray, now_s: float,
+                 margin_rad: float = 0.0) -> None:
+        self._robot = robot
+        self._margin_rad = margin_rad
+        self._speed = velocity_units_s(robot)
+        self._range = unit_range(robot, margin_rad)
+        self.restart(units, now_s)
+
+    def restart(self, units: np.ndarray, now_s: float) -> None:
+        """Stand still where the servos are told to be, as after a stop of the device."""
+        self._units = np.array(units, dtype=int)
+        self._changed_s = np.full(self._robot.count, float(now_s))
+        self._now_s = float(now_s)
+        self._trajectory: Trajectory | None = None
+        self._joints = from_units(self._robot, self._units)
+        self._path_s = self._late_s = 0.0
+
+    @property
+    def state(self) -> State:
+        """Positions and velocities commanded now: where a new trajectory starts."""
+        if self._trajectory is None:
+            return State(self._joints, np.zeros(self._robot.count))
+        sample = self._trajectory.sample(self._path_s)
+        return State(sample.positions, sample.velocities)
+
+    @property
+    def trajectory(self) -> Trajectory | None:
+        """Give what is followed now, if anything."""
+        return self._trajectory
+
+    def follow(self, trajectory: Trajectory, now_s: float) -> None:
+        """Replace what is followed; the trajectory starts at the `state` of now."""
+        self._trajectory = trajectory
+        self._path_s = self._late_s = 0.0
+        self._now_s = float(now_s)
+
+    def step(self, now_s: float) -> Target:
+        """Give the target for a time, which must not run backwards."""
+        passed_s = max(now_s - self._now_s, 0.0)
+        self._now_s = max(float(now_s), self._now_s)
+        if self._trajectory is None:
+            return self._target()
+        units, advance_s = self._reachable(min(passed_s, _LONGEST_STEP_S))
+        self._changed_s[units != self._units] = self._now_s
+        self._units = units
+        self._path_s += advance_s
+        self._late_s += passed_s - advance_s
+        self._joints = self._trajectory.sample(self._path_s).positions
+        if self._path_s >= self._trajectory.duration_s:
+            self._trajectory, self._path_s = None, 0.0
+        return self._target()
+
+    def _target(self) -> Target:
+        return Target(self._units.copy(), self._joints, self.state.velocities, self._late_s,
+                      self._trajectory is None)
+
+    def _reachable(self, passed_s: float) -> tuple[np.ndarray, float]:
+        """Find the largest advance along the path, up to the time passed, that keeps speed."""
+        units = self._units_at(passed_s)
+        if self._slow_enough(units):
+            return units, passed_s
+        low_s, high_s, best = 0.0, passed_s, self._units
+        for _ in range(_HALVINGS):
+            middle_s = 0.5 * (low_s + high_s)
+            units = self._units_at(middle_s)
+            if self._slow_enough(units):
+                low_s, best = middle_s, units
+            else:
+                high_s = middle_s
+        return best, low_s
+
+    def _units_at(self, advance_s: float) -> np.ndarray:
+        joints = self._trajectory.sample(self._path_s + advance_s).positions
+        units = to_units(self._robot, joints, self._margin_rad)
+        # A trajectory keeps the limits; a servo that started outside them may only come back.
+        return np.clip(units, np.minimum(self._range.low, self._units),
+                       np.maximum(self._range.high, self._units))
+
+    def _slow_enough(self, units: np.ndarray) -> bool:
+        allowed = self._speed * (self._now_s - self._changed_s)
+        return bool(np.all(np.abs(units - self._units) <= allowed + 1e-9))
