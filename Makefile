@@ -35,7 +35,7 @@ $(VENV)/ready: requirements/ros.txt requirements/run.txt requirements/dev.txt $(
 	$(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check \
 		$(addprefix -r ,$(filter-out $(CONSTRAINTS),$^)) $(addprefix -c ,$(CONSTRAINTS))
-	@touch $(VENV)/local_setup.sh  # makes the environment a prefix in the eyes of colcon
+	@touch $(VENV)/local_setup.{sh,bash,zsh}  # makes the environment a prefix in the eyes of colcon
 	@touch $@
 
 build: $(ENVIRONMENT)  ## build and install the package into install/
