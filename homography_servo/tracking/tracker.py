@@ -82,6 +82,11 @@ class Tracker:
         self._good_s = 0.0
         self._known_place = len(self.settings.initial_corners_px) == 8
 
+    def interrupt(self) -> None:
+        """Say that no pictures come; what is seen next must be confirmed first."""
+        self._state = SEARCHING if self._state == SEARCHING else LOST
+        self._confirmed = 0
+
     def update(self, grey: np.ndarray, stamp_s: float,
                predicted_corners_px: np.ndarray | None = None) -> Track:
         """
@@ -175,7 +180,7 @@ class Tracker:
         settings, quality = self.settings, fit.quality
         sigma_px = float(np.sqrt(np.diag(fit.covariance).max()))
         if abs(quality.contrast) < settings.min_contrast:
-            return Rejected(f'the edges have a contrast of {quality.contrast:.0f} grey levels only')
+            return Rejected(f'the contrast of the edges is {quality.contrast:.0f} grey levels')
         if quality.inlier_share < settings.min_inlier_share:
             return Rejected(f'only {quality.inlier_share:.0%} of the lines agree')
         if np.sum(quality.side_share > 0.4) < 3:
@@ -189,8 +194,8 @@ class Tracker:
         self._confirmed += 1
         self._missed, self._good_s = 0, stamp_s
         if self._confirmed < self.settings.confirming_frames:
-            self._state = SEARCHING
-            return Track(SEARCHING, None, None, None, fit.quality, 'found, not yet confirmed')
+            self._state = SEARCHING if self._state == SEARCHING else LOST
+            return Track(self._state, None, None, None, fit.quality, 'found, not yet confirmed')
         self._state = TRACKING
         contour = self._spline.curve(self._spline.control(fit.corners))
         return Track(TRACKING, fit.corners, fit.covariance, contour, fit.quality, '')
