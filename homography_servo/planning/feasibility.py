@@ -70,16 +70,8 @@ def check_path(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
 
     """
     poses = _checked(poses, robot, start_joints_rad)
-    points = np.asarray(object_points_m, dtype=float)
     depth_m = settings.home_depth_m if robot is None else robot.home_depth_m
-    seen = look(poses, camera, points, depth_m)
-    sigma_px = settings.corner_sigma_px
-    ambiguity = predicted_ambiguity(poses, seen.points_px, camera, points, depth_m, sigma_px)
-    checks = [check_field(seen, settings), check_facing(seen, settings),
-              check_mirror(ambiguity, settings)]
-    blank = np.full(len(poses), np.nan)
-    values = PoseValues(seen.border_px.min(axis=1), seen.facing_rad, blank == 0, blank,
-                        np.zeros(len(poses), dtype=int), blank, blank, ambiguity)
+    checks, values = _view(poses, camera, object_points_m, depth_m, settings)
     joints_rad, note = None, ''
     if robot is not None:
         believed = arm_poses(robot, poses, start_joints_rad)
@@ -89,6 +81,28 @@ def check_path(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
         checks += [check_agreement(poses, believed, settings), *more]
         joints_rad, note = followed.joints_rad, _arm_note(robot, values)
     return _conclude(checks, values, joints_rad, note)
+
+
+def check_view(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
+               home_depth_m: float, settings: FeasibilitySettings) -> Verdict:
+    """Judge only what the camera sees of a path; arguments as in `check_path`."""
+    poses = _checked(poses, None, None)
+    checks, values = _view(poses, camera, object_points_m, home_depth_m, settings)
+    return _conclude(checks, values, None, '')
+
+
+def _view(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray, depth_m: float,
+          settings: FeasibilitySettings) -> tuple[list[Check], PoseValues]:
+    points = np.asarray(object_points_m, dtype=float)
+    seen = look(poses, camera, points, depth_m)
+    ambiguity = predicted_ambiguity(poses, seen.points_px, camera, points, depth_m,
+                                    settings.corner_sigma_px)
+    checks = [check_field(seen, settings), check_facing(seen, settings),
+              check_mirror(ambiguity, settings)]
+    blank = np.full(len(poses), np.nan)
+    return checks, PoseValues(
+        seen.border_px.min(axis=1), seen.facing_rad, np.zeros(len(poses), dtype=bool), blank,
+        np.zeros(len(poses), dtype=int), blank, blank, ambiguity)
 
 
 def _checked(poses: np.ndarray, robot: Robot | None, start: np.ndarray | None) -> np.ndarray:

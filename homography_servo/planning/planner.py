@@ -18,6 +18,7 @@ from homography_servo.planning.settings import PlannerSettings
 from homography_servo.planning.task import Proposal
 from homography_servo.planning.task import Task
 from homography_servo.planning.verdict import Verdict
+from homography_servo.result import Rejected
 from homography_servo.robot.robot_file import Robot
 import numpy as np
 
@@ -69,7 +70,7 @@ class Plan:
 def plan(start_home_from_object: np.ndarray, goal_home_from_object: np.ndarray, camera: Camera,
          robot: Robot | None = None, start_joints_rad: np.ndarray | None = None,
          settings: PlannerSettings = PlannerSettings(),
-         object_points_m: np.ndarray | None = None) -> Plan:
+         object_points_m: np.ndarray | None = None) -> Plan | Rejected:
     """
     Plan a path and repair it when it is vetoed.
 
@@ -90,15 +91,25 @@ def plan(start_home_from_object: np.ndarray, goal_home_from_object: np.ndarray, 
 
     Returns
     -------
-    Plan
-        Executable only if its verdict is ok.
+    Plan or Rejected
+        Executable only if its verdict is ok; rejected when there is no path at all,
+        since an end is behind the camera.
 
     """
     task = _task(start_home_from_object, goal_home_from_object, camera, robot,
                  start_joints_rad, settings, object_points_m)
+    for name, pose in (('object', task.start), ('goal', task.goal)):
+        depth_m = pose[2, 3] + task.home_depth_m
+        if depth_m <= 0.0:
+            return Rejected(f'the {name} is behind the camera (depth {depth_m:.3f} m)')
+    first = task.path()
+    return first if isinstance(first, Rejected) else _best(task, first)
+
+
+def _best(task: Task, first: np.ndarray) -> Plan:
     attempts: list[Attempt] = []
     best: tuple[Verdict, Proposal] | None = None
-    for proposal in _proposals(task):
+    for proposal in _proposals(task, first):
         if proposal.poses is None:
             attempts.append(Attempt(proposal.name, False, proposal.reason))
             continue
@@ -130,8 +141,8 @@ def _task(start: np.ndarray, goal: np.ndarray, camera: Camera, robot: Robot | No
                 np.asarray(points, dtype=float), robot, joints_rad, settings)
 
 
-def _proposals(task: Task) -> Iterator[Proposal]:
-    yield Proposal(FIRST, task.path())
+def _proposals(task: Task, first: np.ndarray) -> Iterator[Proposal]:
+    yield Proposal(FIRST, first)
     if not task.settings.repair:
         return
     reason = hopeless(task)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Callable, Iterator
 
 from homography_servo.geometry.path import FAMILIES
-from homography_servo.planning.feasibility import check_path
+from homography_servo.planning.feasibility import check_view
 from homography_servo.planning.joint_space import JointSpace
 from homography_servo.planning.joint_space import search
 from homography_servo.planning.joint_space import shortened
@@ -23,7 +23,7 @@ from homography_servo.robot.kinematics import object_pose
 import numpy as np
 
 TURNS = ('positive', 'negative')
-CALM_FAMILY = 'line'  # between via-poses: the image of the centre goes straight
+CALM_FAMILY = 'straight'  # between via-poses: the image of the centre goes straight
 _SAMPLES = 400
 
 
@@ -34,7 +34,7 @@ def hopeless(task: Task) -> str:
     The start must be good itself, since a bad one loosens the limits.
     """
     settings = task.settings
-    ends = [check_path(pose[None], task.camera, task.object_points_m, None, None, settings)
+    ends = [check_view(pose[None], task.camera, task.object_points_m, task.home_depth_m, settings)
             for pose in (task.start, task.goal)]
     if ends[0].ok and not ends[1].ok and ends[0].values.field_px[0] >= settings.field_margin_px:
         return f'at the goal {ends[1].reasons[0]}'

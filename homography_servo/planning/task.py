@@ -15,10 +15,13 @@ from homography_servo.planning.feasibility import look
 from homography_servo.planning.follow import path_lengths
 from homography_servo.planning.settings import PlannerSettings
 from homography_servo.planning.verdict import Verdict
+from homography_servo.result import Rejected
 from homography_servo.robot.kinematics import inverse
 from homography_servo.robot.kinematics import object_pose
 from homography_servo.robot.robot_file import Robot
 import numpy as np
+
+MOST_POSES = 2000
 
 
 class Proposal(NamedTuple):
@@ -51,12 +54,12 @@ class Task:
         return check_path(poses, self.camera, self.object_points_m, self.robot,
                           self.joints_rad, self.settings)
 
-    def path(self, family: str = 'paper', turn: str = 'shorter') -> np.ndarray:
+    def path(self, family: str = 'paper', turn: str = 'shorter') -> np.ndarray | Rejected:
         """Interpolate from the start to the goal, with as many poses as asked for."""
         return self.between(self.start, self.goal, self.count, family, turn)
 
     def between(self, start: np.ndarray, goal: np.ndarray, count: int, family: str,
-                turn: str = 'shorter') -> np.ndarray:
+                turn: str = 'shorter') -> np.ndarray | Rejected:
         """Interpolate between any two poses."""
         return interpolate(start, goal, count, self.home_depth_m, family=family, turn=turn)
 
@@ -70,13 +73,16 @@ class Task:
 
     @cached_property
     def count(self) -> int:
-        """Number of poses of a path."""
+        """Count the poses of a path."""
         limits = self.settings
         if limits.poses:
             return max(limits.poses, 2)
-        return choose_count(self.start, self.goal, self.home_depth_m, self.camera,
-                            self.object_points_m, limits.step_max_m, limits.step_max_rad,
-                            limits.step_max_px)
+        count = choose_count(
+            self.start, self.goal, self.home_depth_m, max_step_m=limits.step_max_m,
+            max_step_rad=limits.step_max_rad, max_step_px=limits.step_max_px,
+            camera=self.camera, object_points_m=self.object_points_m)
+        # A path that leaves the view has steps without bound there; it is vetoed later.
+        return MOST_POSES if isinstance(count, Rejected) else min(count, MOST_POSES)
 
     @cached_property
     def seen_from_arm(self) -> np.ndarray:

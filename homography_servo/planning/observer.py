@@ -1,0 +1,180 @@
+"""
+From corners to the pose of the object: the mirror chosen, the noise measured, looks averaged.
+
+Pure code; time is an argument. The choice between the two minima of a plane follows the
+arm's kinematics if the joints are known, else the previous pose, else the residual.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+from homography_servo.geometry.camera import Camera
+from homography_servo.geometry.pose import estimate_pose
+from homography_servo.geometry.pose import PoseEstimate
+from homography_servo.geometry.pose import Prior
+from homography_servo.planning.observer_settings import ObserverSettings
+from homography_servo.result import Rejected
+import numpy as np
+
+NOISE_LOOKS = 10  # looks that an estimate of the noise needs
+NOISE_RANGE_PX = (0.01, 5.0)
+
+
+class Look(NamedTuple):
+    """Corners measured at one time."""
+
+    corners_px: np.ndarray  # (M, 2)
+    time_s: float
+
+
+class StillView(NamedTuple):
+    """What several looks at an object at rest say together."""
+
+    corners_px: np.ndarray  # (M, 2) their mean
+    looks: int
+    noise_px: float  # standard deviation of one coordinate in one look, NaN for one look
+
+
+class Observer:
+    """
+    Estimates poses from corners.
+
+    Parameters
+    ----------
+    object_points_m : (M, 3) array
+        The points whose images arrive, in the same order.
+    home_depth_m : float
+        Distance of the home frame from the camera.
+    sigma_px : float
+        Noise of a coordinate until it has been measured.
+    settings : ObserverSettings
+        Everything else.
+
+    """
+
+    def __init__(self, object_points_m: np.ndarray, home_depth_m: float, sigma_px: float,
+                 settings: ObserverSettings = ObserverSettings()) -> None:
+        self.object_points_m = np.asarray(object_points_m, dtype=float)
+        self.home_depth_m = home_depth_m
+        self.sigma_px = sigma_px
+        self.settings = settings
+        self._looks: deque[Look] = deque()
+        self._measured_px: float | None = None
+        self._last: tuple[np.ndarray, float] | None = None
+
+    @property
+    def noise_px(self) -> float:
+        """Give the standard deviation of a coordinate that covariances are based on."""
+        measured = self._measured_px if self.settings.measure_noise else None
+        return self.sigma_px if measured is None else measured
+
+    def forget(self) -> None:
+        """Forget all looks and the last pose."""
+        self._looks.clear()
+        self._last = None
+
+    def lose_sight(self) -> None:
+        """Start averaging anew: the object may be elsewhere when it is seen again."""
+        self._looks.clear()
+
+    def see(self, corners_px: np.ndarray, camera: Camera, time_s: float,
+            arm_pose: np.ndarray | None = None) -> PoseEstimate | Rejected:
+        """
+        Take in one look.
+
+        Parameters
+        ----------
+        corners_px : (M, 2) array
+            Where the points are seen.
+        camera : Camera
+            What saw them.
+        time_s : float
+            By a clock that never jumps.
+        arm_pose : (4, 4) array, optional
+            ``home_from_object`` by the joints, if they are known now.
+
+        Returns
+        -------
+        PoseEstimate or Rejected
+
+        """
+        estimate = self.pose_of(corners_px, camera, self._prior(time_s, arm_pose))
+        if isinstance(estimate, Rejected):
+            self.lose_sight()
+            return estimate
+        self._looks.append(Look(np.array(corners_px, dtype=float), time_s))
+        while len(self._looks) > self.settings.looks_max:
+            self._looks.popleft()
+        self._last = (estimate.home_from_object, time_s)
+        self._measure_noise()
+        return estimate
+
+    def pose_of(self, corners_px: np.ndarray, camera: Camera, prior: Prior | None = None,
+                looks: int = 1) -> PoseEstimate | Rejected:
+        """Estimate a pose from the mean corners of some looks, without remembering it."""
+        corners_px = np.asarray(corners_px, dtype=float)
+        if corners_px.shape != (len(self.object_points_m), 2):
+            return Rejected(f'{len(self.object_points_m)} corners are needed, '
+                            f'{len(corners_px)} came')
+        estimate = estimate_pose(
+            self.object_points_m, corners_px, camera, home_depth_m=self.home_depth_m,
+            covariance_px2=self.noise_px**2 / looks, prior=prior)
+        if isinstance(estimate, Rejected):
+            return estimate
+        misfit_px = estimate.candidates[0].residual_px
+        if misfit_px > self.settings.fit_limit_px:
+            return Rejected(f'the corners fit no pose of the object better than '
+                            f'{misfit_px:.1f} px: wrong order, wrong size, or not the object')
+        return estimate
+
+    def still_view(self, now_s: float) -> StillView | Rejected:
+        """Average the latest looks during which nothing moved."""
+        if not self._looks:
+            return Rejected('the object is not seen')
+        age_s = now_s - self._looks[-1].time_s
+        if age_s > self.settings.look_age_s:
+            return Rejected(f'the object has not been seen for {age_s:.1f} s')
+        return self._trailing_rest()
+
+    def view_pose(self, view: StillView, camera: Camera, now_s: float,
+                  arm_pose: np.ndarray | None = None) -> PoseEstimate | Rejected:
+        """Estimate the pose of a view, choosing the minimum as always."""
+        return self.pose_of(view.corners_px, camera, self._prior(now_s, arm_pose), view.looks)
+
+    def _trailing_rest(self) -> StillView:
+        looks = np.array([look.corners_px for look in self._looks])[::-1]
+        centre = np.cumsum(looks, axis=0) / np.arange(1, len(looks) + 1)[:, None, None]
+        drift_px = np.linalg.norm(looks[1:] - centre[:-1], axis=2).max(axis=1)
+        limit_px = max(self.settings.still_px, 6.0 * self.noise_px)
+        moved = np.flatnonzero(drift_px > limit_px)
+        count = int(moved[0]) + 1 if len(moved) else len(looks)
+        rest = looks[:count]
+        noise = float(np.sqrt(rest.var(axis=0, ddof=1).mean())) if count > 1 else float('nan')
+        return StillView(rest.mean(axis=0), count, noise)
+
+    def _measure_noise(self) -> None:
+        """Take successive differences, which slow motion does not spoil."""
+        if len(self._looks) < NOISE_LOOKS:
+            return
+        view = self._trailing_rest()
+        if view.looks < NOISE_LOOKS:
+            return
+        recent = np.array([look.corners_px for look in self._looks])[-view.looks:]
+        noise = float(np.sqrt(0.5 * np.square(np.diff(recent, axis=0)).mean()))
+        self._measured_px = float(np.clip(noise, *NOISE_RANGE_PX))
+
+    def _prior(self, time_s: float, arm_pose: np.ndarray | None) -> Prior | None:
+        settings = self.settings
+        if arm_pose is not None:
+            return _prior(arm_pose, settings.arm_sigma_m, settings.arm_sigma_rad)
+        if self._last is None or time_s - self._last[1] > settings.memory_s:
+            return None
+        age_s = max(time_s - self._last[1], 0.02)
+        return _prior(self._last[0], 0.005 + settings.motion_m_s * age_s,
+                      0.05 + settings.motion_rad_s * age_s)
+
+
+def _prior(pose: np.ndarray, sigma_m: float, sigma_rad: float) -> Prior:
+    return Prior(pose, np.diag([sigma_m**2] * 3 + [sigma_rad**2] * 3))
