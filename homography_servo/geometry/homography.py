@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 
-from homography_servo.geometry.rigid import _transforms
 from homography_servo.result import Rejected
 import numpy as np
 
@@ -97,15 +96,16 @@ def transfer_error(dst_from_src: np.ndarray, src: np.ndarray, dst: np.ndarray) -
         return np.nan_to_num(np.linalg.norm(mapped - dst, axis=-1), nan=np.inf, posinf=np.inf)
 
 
-def point_homographies(home_from_object: np.ndarray, object_points_m: np.ndarray,
+def point_homographies(homography: np.ndarray, object_points_m: np.ndarray,
                        home_depth_m: float = 1.0) -> np.ndarray:
     """
     Build the homography of every point of an object that is not flat.
 
     Parameters
     ----------
-    home_from_object : (..., 4, 4) array
-        Displacements T_k0 from the virtual home position.
+    homography : (..., 3, 3) array
+        Homographies of the plane z = 0, scaled as in eq. 15: the first two columns are
+        r1 and r2. `decomposition.compose` gives them so.
     object_points_m : (N, 3) array
         The points at the virtual home position.
     home_depth_m : float
@@ -117,26 +117,32 @@ def point_homographies(home_from_object: np.ndarray, object_points_m: np.ndarray
         (H_k0)_j of eqs. 13 and 14; for points with z = 0 that of eq. 15.
 
     """
-    pose, points = _transforms(home_from_object), np.asarray(object_points_m, float)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ValueError(f'object_points_m must have shape (N, 3), got {points.shape}')
-    depth_m = points[:, 2] + home_depth_m
-    if not (depth_m > 0.0).all():
+    plane, points = np.asarray(homography, float), _solid(object_points_m)
+    if plane.shape[-2:] != (3, 3):
+        raise ValueError(f'homography must have shape (..., 3, 3), got {plane.shape}')
+    relative = points[:, 2:] / home_depth_m
+    if not (relative > -1.0).all():
         raise ValueError('object points must lie before the camera at the virtual home position, '
-                         f'got depths {depth_m} m')
-    homographies = np.empty((*pose.shape[:-2], len(points), 3, 3))
-    homographies[..., :2] = pose[..., None, :3, :2]
-    moved = pose[..., None, :3, 2] * points[:, 2:] + pose[..., None, :3, 3]
-    homographies[..., 2] = (moved + (0.0, 0.0, home_depth_m)) / depth_m[:, None]
+                         f'got z down to {points[:, 2].min()} m with home_depth_m {home_depth_m}')
+    homographies = np.empty((*plane.shape[:-2], len(points), 3, 3))
+    homographies[..., :2] = plane[..., None, :, :2]
+    normal = np.cross(plane[..., 0], plane[..., 1])  # r3 = r1 x r2
+    homographies[..., 2] = ((plane[..., None, :, 2] + normal[..., None, :] * relative)
+                            / (1.0 + relative))
     return homographies
 
 
 def home_image(object_points_m: np.ndarray, home_depth_m: float = 1.0) -> np.ndarray:
     """Project an object (N, 3) at the virtual home position: p_0 with unit focal length."""
+    points = _solid(object_points_m)
+    return points[:, :2] / (points[:, 2:] + home_depth_m)
+
+
+def _solid(object_points_m: np.ndarray) -> np.ndarray:
     points = np.asarray(object_points_m, float)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f'object_points_m must have shape (N, 3), got {points.shape}')
-    return points[:, :2] / (points[:, 2:] + home_depth_m)
+    return points
 
 
 def _checked(src: np.ndarray, dst: np.ndarray, weights: np.ndarray | None

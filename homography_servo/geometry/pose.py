@@ -70,7 +70,7 @@ class PoseEstimate:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Give the covariance (6, 6) of the chosen pose."""
+        """Give the uncertainty of the chosen pose, (6, 6)."""
         return self.candidates[0].covariance
 
 

@@ -104,11 +104,32 @@ def log_transform(a_from_b: np.ndarray) -> np.ndarray:
 
     """
     a_from_b = _transforms(a_from_b)
-    rotation_vector = rotation_log(a_from_b[..., :3, :3])
+    return twist_about(rotation_log(a_from_b[..., :3, :3]), a_from_b[..., :3, 3])
+
+
+def twist_about(rotation_vector: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """
+    Find the twist of a rigid motion whose rotation vector is given, of any length.
+
+    Parameters
+    ----------
+    rotation_vector : (..., 3) array
+        Rotation [rad]; unlike that of `log_transform` it may be longer than pi, which is
+        the way round the other side. Multiples of a full turn have no such twist.
+    translation : (..., 3) array
+        Translation of the motion.
+
+    Returns
+    -------
+    (..., 6) array
+        The twist.
+
+    """
+    rotation_vector = np.asarray(rotation_vector, float)
     angle_rad = np.linalg.norm(rotation_vector, axis=-1)[..., None, None]
     cross = skew(rotation_vector)
     unspiral = np.eye(3) - 0.5 * cross + _cotangent(angle_rad) * (cross @ cross)
-    linear = (unspiral @ a_from_b[..., :3, 3:])[..., 0]
+    linear = (unspiral @ np.asarray(translation, float)[..., None])[..., 0]
     return np.concatenate([linear, rotation_vector], axis=-1)
 
 
