@@ -28,7 +28,7 @@ from homography_servo.result import Rejected
 import numpy as np
 from scipy.linalg import lapack
 
-_SAME = 0.25  # squared distance, in units of the covariance, below which two minima are one
+SAME_MINIMUM = 0.25  # squared distance, in units of the covariance, below which two minima are one
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ def same_minimum(fit: Fit, i: int, j: int) -> bool:
                            0.5 * (turn[2, 1] - turn[1, 2]), 0.5 * (turn[0, 2] - turn[2, 0]),
                            0.5 * (turn[1, 0] - turn[0, 1])])
     return bool(turn[0, 0] + turn[1, 1] + turn[2, 2] > 1.0
-                and difference @ fit.normal[i] @ difference < _SAME)
+                and difference @ fit.normal[i] @ difference < SAME_MINIMUM)
 
 
 def _candidate(fit: Fit, i: int, views: Views, px_per_ray: np.ndarray, home_depth_m: float

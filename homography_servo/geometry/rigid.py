@@ -146,6 +146,9 @@ def adjoint(a_from_b: np.ndarray) -> np.ndarray:
 def rotation_log(rotation: np.ndarray) -> np.ndarray:
     """Give the rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3)."""
     rotation = np.asarray(rotation, float)
+    if rotation.shape[-2:] != (3, 3) or not np.isfinite(rotation).all():
+        raise ValueError('rotation must be finite and have shape (..., 3, 3), got '
+                         f'{rotation.shape}{"" if np.isfinite(rotation).all() else " with nan"}')
     flat = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec()
     return flat.reshape(rotation.shape[:-1])
 
