@@ -1,0 +1,185 @@
+"""The visual_servo node among other processes: what it sends, says and refuses."""
+
+import signal
+import sys
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2')
+sys.path.insert(0, __file__.rsplit('/nodes/', 1)[0] + '/planning')
+
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402,I100
+from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
+from geometry_msgs.msg import PolygonStamped  # noqa: E402
+from geometry_msgs.msg import PoseArray  # noqa: E402
+from geometry_msgs.msg import PoseWithCovarianceStamped  # noqa: E402
+from homography_servo.experiments.servo_world import CubicMotion  # noqa: E402
+from homography_servo.nodes.conversions import joint_state_msg  # noqa: E402
+from homography_servo.nodes.conversions import pose_array_msg  # noqa: E402
+from homography_servo.nodes.conversions import pose_covariance_msg  # noqa: E402
+from homography_servo.nodes.conversions import seconds_from_duration  # noqa: E402
+from homography_servo.nodes.kit import LATCHED  # noqa: E402
+from homography_servo.planning.arm_model import ArmModel  # noqa: E402
+from homography_servo.planning.servo import Command  # noqa: E402
+from sensor_msgs.msg import CameraInfo  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from servo_setup import camera  # noqa: E402
+from servo_setup import ROBOT  # noqa: E402
+from servo_setup import START_RAD  # noqa: E402
+from servo_setup import straight_path  # noqa: E402
+from std_msgs.msg import Header  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
+from std_srvs.srv import SetBool  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+from trajectory_msgs.msg import JointTrajectory  # noqa: E402
+
+
+class Rig:
+    """An arm, a camera and a planner, played by the probe."""
+
+    def __init__(self, probe) -> None:
+        self.probe, self.truth, self.measure = probe, ArmModel(ROBOT), camera(0)
+        self.see, self.feel, self.focal_px = True, True, None
+        self.motion = CubicMotion(START_RAD)
+        self.commands, self.stops_s = [], []
+        self.states = probe.record(String, 'visual_servo/state', LATCHED)
+        self.corners = probe.record(PolygonStamped, 'object/predicted_corners')
+        probe.node.create_subscription(JointTrajectory, 'joint_trajectory', self._obey, 1)
+        self._joints = probe.publisher(JointState, 'joint_states')
+        self._pose = probe.publisher(PoseWithCovarianceStamped, 'object/pose')
+        self._info = probe.publisher(CameraInfo, 'camera_info')
+        self._path = probe.publisher(PoseArray, 'path/poses', LATCHED)
+        self._verdict = probe.publisher(DiagnosticArray, 'path/verdict', LATCHED)
+        probe.node.create_timer(0.02, self._tell_joints)
+        probe.node.create_timer(1 / 30, self._tell_pose)
+        probe.node.create_timer(0.1, self._tell_camera)
+
+    def _obey(self, msg) -> None:
+        now_s, stop = time.monotonic(), not msg.points
+        if stop:
+            self.stops_s.append(now_s)
+            command = Command()
+        else:
+            assert list(msg.joint_names) == list(ROBOT.joint_names)
+            command = Command(np.array(msg.points[0].positions),
+                              seconds_from_duration(msg.points[0].time_from_start))
+            self.commands.append(now_s)
+        self.motion.go(command, now_s, ROBOT.acceleration_rad_s2)
+
+    def _header(self) -> Header:
+        return Header(stamp=self.probe.stamp(), frame_id='home')
+
+    def _tell_joints(self) -> None:
+        if self.feel:
+            joints_rad = self.motion.at(time.monotonic())
+            self._joints.publish(joint_state_msg(ROBOT.joint_names, joints_rad, self._header()))
+
+    def _tell_pose(self) -> None:
+        if self.see:
+            pose, covariance = self.measure(self.truth.pose(self.motion.at(time.monotonic())))
+            self._pose.publish(pose_covariance_msg(pose, covariance, self._header()))
+
+    def _tell_camera(self) -> None:
+        if self.focal_px is None:
+            return
+        k = [self.focal_px, 0.0, 319.5, 0.0, 800.0, 239.5, 0.0, 0.0, 1.0]
+        self._info.publish(CameraInfo(header=self._header(), width=640, height=480, k=k,
+                                      distortion_model='plumb_bob', d=[0.0] * 5))
+
+    def tell_path(self, ok=True, sentence='all good') -> None:
+        header = self._header()
+        level = DiagnosticStatus.OK if ok else DiagnosticStatus.ERROR
+        self._verdict.publish(DiagnosticArray(header=header, status=[
+            DiagnosticStatus(level=level, name='path', message=sentence)]))
+        path = straight_path(self.truth, 5, START_RAD, START_RAD + 0.05)
+        self._path.publish(pose_array_msg(path if ok else [], header))
+
+    @property
+    def state(self) -> str:
+        return self.states[-1].data if self.states else ''
+
+    def call(self, name):
+        return self.probe.call(Trigger, f'visual_servo/{name}')
+
+    def start(self) -> None:
+        self.focal_px = 800.0
+        self.tell_path()
+        self.probe.wait(lambda: self.call('start').success, 'the servo does not start')
+
+
+@pytest.fixture
+def rig(probe, start_node):
+    process = start_node('visual_servo')
+    made = Rig(probe)
+    made.process = process
+    return made
+
+
+def test_node_servoes_to_the_end_and_predicts_corners(rig):
+    rig.probe.wait(lambda: rig.state == 'IDLE', 'no state')
+    rig.start()
+    rig.probe.wait(lambda: rig.state == 'DONE', f'not done: {rig.state}')
+    goal = START_RAD + 0.05
+    assert rig.motion.at(time.monotonic()) == pytest.approx(goal, abs=0.01)
+    rig.probe.wait(lambda: len(rig.corners) > 5, 'no predicted corners')
+    pose = rig.truth.pose(rig.motion.at(time.monotonic()))
+    points = ROBOT.object_points_m @ pose[:3, :3].T + pose[:3, 3] + [0.0, 0.0, ROBOT.home_depth_m]
+    expected = 800.0 * points[:, :2] / points[:, 2:] + [319.5, 239.5]
+    seen = np.array([(p.x, p.y) for p in rig.corners[-1].polygon.points])
+    assert np.abs(seen - expected).max() < 1.0
+
+
+def test_refusals_have_a_sentence_and_nothing_moves(rig):
+    rig.probe.spin_for(0.5)
+    assert 'no path' in rig.call('start').message
+    rig.tell_path()
+    rig.probe.spin_for(0.3)
+    assert 'camera_info' in rig.call('start').message
+    rig.focal_px = 0.0
+    rig.probe.spin_for(0.3)
+    assert 'camera_info' in rig.call('start').message
+    rig.focal_px = 800.0
+    rig.tell_path(ok=False, sentence='pose 4: joint2 beyond its limit')
+    rig.probe.spin_for(0.3)
+    answer = rig.call('start')
+    assert not answer.success and answer.message == 'pose 4: joint2 beyond its limit'
+    assert not rig.commands and rig.state == 'IDLE'
+
+
+@pytest.mark.parametrize('sense', ['see', 'feel'])
+def test_loss_holds_within_the_time_and_goes_on(rig, sense):
+    rig.start()
+    rig.probe.wait(lambda: rig.commands, 'no motion')
+    setattr(rig, sense, False)
+    lost_s = time.monotonic()
+    rig.probe.wait(lambda: rig.state.startswith('HOLD'), 'no hold')
+    assert rig.stops_s and rig.stops_s[0] - lost_s < 0.40  # 0.25 s and a busy machine
+    rig.probe.spin_for(0.5)
+    assert not [at_s for at_s in rig.commands if at_s > rig.stops_s[0]]
+    setattr(rig, sense, True)
+    rig.probe.wait(lambda: rig.state == 'DONE', f'not done: {rig.state}')
+
+
+def test_pause_stop_and_rubbish(rig):
+    rig.start()
+    rig.probe.wait(lambda: rig.commands, 'no motion')
+    assert rig.probe.call(SetBool, 'visual_servo/pause', SetBool.Request(data=True)).success
+    rig.probe.wait(lambda: rig.state == 'HOLD: paused by the operator', 'no pause')
+    rig._joints.publish(JointState(name=['joint1'], position=[float('nan')]))
+    rig._pose.publish(PoseWithCovarianceStamped())
+    rig._path.publish(PoseArray())
+    rig.probe.call(SetBool, 'visual_servo/pause', SetBool.Request(data=False))
+    rig.probe.wait(lambda: rig.state in ('MOVING', 'LOOKING', 'DONE'), 'does not go on')
+    assert rig.call('stop').success
+    rig.probe.wait(lambda: rig.state == 'IDLE', 'not stopped')
+
+
+def test_ctrl_c_on_the_way_stops_the_arm_and_exits_cleanly(rig):
+    rig.start()
+    rig.probe.wait(lambda: rig.commands, 'no motion')
+    rig.process.signal(signal.SIGINT)
+    rig.probe.wait(lambda: rig.stops_s, 'no stop')
+    assert rig.process.wait() == 0
+    assert 'Traceback' not in rig.process.output
