@@ -2,20 +2,18 @@
 
 from pathlib import Path
 
+from homography_servo.errors import ConfigError
+from homography_servo.launch.bringup import main
+from homography_servo.launch.config import defaults_of_node
+from homography_servo.launch.config import override
+from homography_servo.launch.config import read_config
+from homography_servo.launch.config import rules_of_node
+from homography_servo.launch.config import shown_config
+from homography_servo.launch.registry import NODES
+from homography_servo.launch.registry import settings_types
+from homography_servo.settings import rules_of
 import pytest
-
-pytest.importorskip('rclpy', reason='needs ROS 2')
-
-from homography_servo.errors import ConfigError  # noqa: E402 (after the check for ROS)
-from homography_servo.launch.bringup import main  # noqa: E402
-from homography_servo.launch.config import defaults_of_node  # noqa: E402
-from homography_servo.launch.config import override  # noqa: E402
-from homography_servo.launch.config import read_config  # noqa: E402
-from homography_servo.launch.config import shown_config  # noqa: E402
-from homography_servo.launch.registry import NODES  # noqa: E402
-from homography_servo.launch.registry import settings_types  # noqa: E402
-from homography_servo.settings import rules_of  # noqa: E402
-import yaml  # noqa: E402
+import yaml
 
 CONFIGS = Path(__file__).parents[2] / 'config'
 
@@ -87,8 +85,8 @@ def test_our_own_files_are_right(name):
     assert not errors
     for node in config.nodes:
         for key, value in config.values(node).items():
-            kinds = {k: rule for kind in settings_types(node) for k, rule in rules_of(kind).items()}
-            assert kinds[key].problem(tuple(value) if isinstance(value, list) else value) is None
+            held = tuple(value) if isinstance(value, list) else value
+            assert rules_of_node(node)[key].problem(held) is None
 
 
 @pytest.mark.parametrize('name', NODES)

@@ -4,17 +4,14 @@ import os
 import signal
 import time
 
+from diagnostic_msgs.msg import DiagnosticArray
+from homography_servo.launch.registry import NODES
+from homography_servo.launch.registry import settings_types
+from homography_servo.settings import rules_of
 import pytest
-
-pytest.importorskip('rclpy', reason='needs ROS 2')
-
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402 (after the check for ROS)
-from homography_servo.launch.registry import NODES  # noqa: E402
-from homography_servo.launch.registry import settings_types  # noqa: E402
-from homography_servo.settings import rules_of  # noqa: E402
-from rcl_interfaces.msg import ParameterType  # noqa: E402
-from rcl_interfaces.srv import DescribeParameters  # noqa: E402
-from rcl_interfaces.srv import GetParameters  # noqa: E402
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import DescribeParameters
+from rcl_interfaces.srv import GetParameters
 
 EXIT_S = 1.0
 SLACK_S = 1.5  # the machine that runs the tests may be busy with others

@@ -1,21 +1,18 @@
 """Messages to arrays and back."""
 
+from geometry_msgs.msg import Point32
+from geometry_msgs.msg import PolygonStamped
+from geometry_msgs.msg import Pose
+from homography_servo.geometry.camera import Camera
+from homography_servo.nodes import conversions as c
+from homography_servo.result import Rejected
 import numpy as np
 import pytest
-
-pytest.importorskip('rclpy', reason='needs ROS 2')
-
-from geometry_msgs.msg import Point32  # noqa: E402 (after the check that ROS is there)
-from geometry_msgs.msg import Pose  # noqa: E402
-from geometry_msgs.msg import PolygonStamped  # noqa: E402
-from homography_servo.geometry.camera import Camera  # noqa: E402
-from homography_servo.nodes import conversions as c  # noqa: E402
-from homography_servo.result import Rejected  # noqa: E402
-from scipy.spatial.transform import Rotation  # noqa: E402
-from sensor_msgs.msg import CameraInfo  # noqa: E402
-from sensor_msgs.msg import Image  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-from std_msgs.msg import Header  # noqa: E402
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import Image
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
 
 CHANNELS = {'mono8': 1, 'bgr8': 3, 'rgb8': 3, 'bgra8': 4, 'rgba8': 4}
 

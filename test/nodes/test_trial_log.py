@@ -1,20 +1,17 @@
 """A trial's record is made from messages alone, live or replayed."""
 
+from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import KeyValue
+from homography_servo.nodes import conversions as c
+from homography_servo.nodes.trial_log import TrialLog
 import numpy as np
 import pytest
-
-pytest.importorskip('rclpy', reason='needs ROS 2')
-
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402 (after the check for ROS)
-from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
-from diagnostic_msgs.msg import KeyValue  # noqa: E402
-from homography_servo.nodes import conversions as c  # noqa: E402
-from homography_servo.nodes.trial_log import TrialLog  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-from std_msgs.msg import Float64MultiArray  # noqa: E402
-from std_msgs.msg import Header  # noqa: E402
-from std_msgs.msg import MultiArrayDimension  # noqa: E402
-from std_msgs.msg import String  # noqa: E402
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Header
+from std_msgs.msg import MultiArrayDimension
+from std_msgs.msg import String
 
 COUNT = 3
 
