@@ -20,7 +20,8 @@ from homography_servo.robot.chain import after_turn
 from homography_servo.robot.robot_file import Robot
 import numpy as np
 
-_GRID = 180  # samples of psi, and as many of phi
+_GRID = 120  # samples of psi, and as many of phi
+_LIFTS = 49  # samples of joint 3
 _SECANTS = 12  # each multiplies the digits by more than 1.4; Newton polishes the rest
 _SECTIONS = 12  # each narrows by the golden section
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
@@ -91,20 +92,25 @@ def _posture(robot: Robot, pose: _Pose, psi: np.ndarray, choice: np.ndarray) -> 
 
 
 def _grid(robot: Robot, pose: _Pose) -> np.ndarray:
-    """Sample psi so that neither psi nor phi moves far, with the ends of what joint 3 reaches."""
+    """Sample psi so that neither psi nor phi nor joint 3 moves far from one to the next."""
     psi = np.linspace(-math.pi, math.pi, _GRID, endpoint=False)
     phi = psi + math.pi / _GRID
     psi_of_phi = np.arctan2(np.sin(phi), np.cos(phi) * abs(pose.tilt))
+    grid = np.sort(np.concatenate([psi, psi_of_phi, *_psi_of_lift(robot, pose)]))
+    # Two samples more than a whole turn, so that none is without neighbours.
+    return np.concatenate([grid, grid[:2] + 2.0 * math.pi])
+
+
+def _psi_of_lift(robot: Robot, pose: _Pose) -> tuple[np.ndarray, ...]:
+    """Give psi for even samples of joint 3; the outermost are the ends of what it reaches."""
     one, two, three = robot.joints[:3]
     rise = robot.joints[4].d_m * pose.rise[2]
-    ends = []
-    for side in (-1.0, 1.0) if rise else ():
-        sine = (pose.point[2] - one.d_m - two.d_m - side * three.a_m) / rise
-        if abs(sine) <= 1.0:
-            ends += [math.asin(sine), math.pi - math.asin(sine)]
-    ends = [math.remainder(end, 2.0 * math.pi) for end in ends]
-    grid = np.sort(np.concatenate([psi, psi_of_phi, ends]))
-    return np.append(grid, grid[0] + 2.0 * math.pi)
+    if abs(rise) < _CLOSE:
+        return ()
+    height = three.a_m * np.sin(np.linspace(-0.5 * math.pi, 0.5 * math.pi, _LIFTS))
+    sine = (pose.point[2] - one.d_m - two.d_m - height) / rise
+    psi = np.arcsin(sine[np.abs(sine) <= 1.0])
+    return psi, np.where(psi > 0.0, math.pi, -math.pi) - psi
 
 
 def _crossings(gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -195,6 +201,7 @@ def yaw_pitch_candidates(robot: Robot, base_from_tool: np.ndarray) -> np.ndarray
     robot : Robot
         For which `is_yaw_pitch_arm` holds.
     base_from_tool : (4, 4) array
+        Where the flange should be.
 
     Returns
     -------

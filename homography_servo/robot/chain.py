@@ -56,7 +56,9 @@ def link_frames(robot: Robot, joints_rad: np.ndarray, first: np.ndarray) -> np.n
     Parameters
     ----------
     robot : Robot
+        The arm.
     joints_rad : (..., n) array
+        Joint angles.
     first : (4, 4) array
         Frame of the base in the frame wanted.
 

@@ -21,8 +21,14 @@ _SAME_RAD = 1e-6
 _LIMIT_RAD = 1e-9
 # One radian of rotation weighs as much as this length of translation.
 _LENGTH_M = 0.1
+_WEIGHTS = np.array([[1.0]] * 3 + [[_LENGTH_M]] * 3)
 _STARTS = 160
 _STEP_RAD = 0.5
+# A path is followed from post to post; the poses between two posts are solved together from
+# joints that lie between. More posts are used when one of those moves further than this.
+_POSTS = 8
+_SMOOTH_RAD = 0.1
+_ROUGH = 1e-3
 
 
 def forward(robot: Robot, joints_rad: np.ndarray) -> np.ndarray:
@@ -42,7 +48,9 @@ def object_jacobian(robot: Robot, joints_rad: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     robot : Robot
+        The arm.
     joints_rad : (..., n) array
+        Joint angles.
 
     Returns
     -------
@@ -61,7 +69,9 @@ def inverse(robot: Robot, home_from_object: np.ndarray, near_rad: np.ndarray | N
     Parameters
     ----------
     robot : Robot
+        The arm.
     home_from_object : (4, 4) array
+        Where the object should be.
     near_rad : (n,) array, optional
         Posture to sort by; without it, by distance from the middle of the limits.
     seed : int
@@ -137,13 +147,14 @@ def inverse_along(robot: Robot, poses: np.ndarray, start_joints: np.ndarray) -> 
     """
     Follow one branch along a path.
 
-    Some poses are solved one after the other, each from the one before; the rest are then
+    A few poses are solved one after the other, each from the ones before; the rest are then
     solved together from what lies between. Where a pose cannot be reached the joints are
-    those that come nearest, and the branch goes on from there.
+    near those that come nearest, and the branch goes on from there.
 
     Parameters
     ----------
     robot : Robot
+        The arm.
     poses : (N, 4, 4) array
         home_from_object along the path.
     start_joints : (n,) array
@@ -161,36 +172,36 @@ def inverse_along(robot: Robot, poses: np.ndarray, start_joints: np.ndarray) -> 
     if not np.isfinite(poses).all():
         raise ValueError('poses must be finite')
     start = checked_joints(robot, start_joints)
-    marks = _marks(len(poses))
-    posts = _one_by_one(robot, poses[marks], start)
-    between = np.stack([np.interp(np.arange(len(poses)), marks, column) for column in posts.T], 1)
-    joints, missed = _newton(robot, poses, between, patience=8)
-    if _strays(joints, between):
-        joints = _one_by_one(robot, poses, start)
-        joints, missed = _newton(robot, poses, joints, patience=1)
+    for posts in (_POSTS, 4 * _POSTS, 16 * _POSTS, len(poses)):
+        marks = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), posts)).astype(int))
+        guess = _between(len(poses), marks, _one_by_one(robot, poses[marks], start))
+        joints, missed = _newton(robot, poses, guess, patience=8)
+        if np.abs(joints - guess).max() < _SMOOTH_RAD or len(marks) == len(poses):
+            break
     return Followed(joints, missed, missed < _SOLVED)
 
 
-def _marks(count: int) -> np.ndarray:
-    """Choose the poses that are solved one by one: all of few, at most 16 of many."""
-    return np.unique(np.linspace(0, count - 1, min(count, 16)).round().astype(int))
-
-
 def _one_by_one(robot: Robot, poses: np.ndarray, start: np.ndarray) -> np.ndarray:
-    joints, found = start, []
+    """Solve poses roughly, each from where the ones before point to."""
+    found = [start, start]
     for pose in poses:
-        joints = _newton(robot, pose[None], joints[None], patience=30)[0][0]
-        found.append(joints)
-    return np.array(found)
+        guess = found[-1] + np.clip(found[-1] - found[-2], -_STEP_RAD, _STEP_RAD)
+        joints, missed = _newton(robot, pose[None], guess[None], patience=4, enough=_ROUGH)
+        if missed[0] > _ROUGH:  # a bend, or out of reach: go on from where the arm was
+            joints, _ = _newton(robot, pose[None], found[-1][None], enough=_ROUGH)
+        found.append(joints[0])
+    return np.array(found[2:])
 
 
-def _strays(joints: np.ndarray, guess: np.ndarray) -> bool:
-    """Say whether solving moved a posture by more than a smooth branch explains."""
-    return bool(np.abs(joints - guess).max() > 0.2)
+def _between(count: int, marks: np.ndarray, posts: np.ndarray) -> np.ndarray:
+    """Interpolate joints at marks; (count, n)."""
+    if len(marks) == count:
+        return posts
+    return np.stack([np.interp(np.arange(count), marks, column) for column in posts.T], axis=1)
 
 
 def _newton(robot: Robot, targets: np.ndarray, joints_rad: np.ndarray,
-            patience: int = 40) -> tuple[np.ndarray, np.ndarray]:
+            patience: int = 40, enough: float = 1e-12) -> tuple[np.ndarray, np.ndarray]:
     """
     Solve poses by damped Newton steps, all at once.
 
@@ -200,12 +211,15 @@ def _newton(robot: Robot, targets: np.ndarray, joints_rad: np.ndarray,
     Parameters
     ----------
     robot : Robot
+        The arm.
     targets : (B, 4, 4) array
         home_from_object.
     joints_rad : (B, n) array
         Starts.
     patience : int
         Largest number of steps.
+    enough : float
+        Distance left at which a posture is good.
 
     Returns
     -------
@@ -220,12 +234,12 @@ def _newton(robot: Robot, targets: np.ndarray, joints_rad: np.ndarray,
         frames, tips = object_frames(robot, joints[active])
         error = _pose_error(tips, targets[active])
         missed[active] = np.sqrt(np.einsum('bi,bi->b', error, error))
-        going = missed[active] > 1e-12
+        going = missed[active] > enough
         if not going.any():
             break
         active, error = active[going], error[going]
         jacobian = jacobian_of(frames[going], tips[going])
-        joints[active] += _damped_step(jacobian, error)
+        joints[active] += _damped_step(jacobian, error, missed[active])
     return joints, missed
 
 
@@ -234,22 +248,18 @@ def _pose_error(tips: np.ndarray, targets: np.ndarray) -> np.ndarray:
     error = np.empty((len(tips), 6))
     error[:, :3] = targets[:, :3, 3] - tips[:, :3, 3]
     turn = targets[:, :3, :3] @ np.swapaxes(tips[:, :3, :3], 1, 2)
-    axial = 0.5 * np.stack([turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0],
-                            turn[:, 1, 0] - turn[:, 0, 1]], axis=1)
+    axial = 0.5 * (turn[:, (2, 0, 1), (1, 2, 0)] - turn[:, (1, 2, 0), (2, 0, 1)])
     sine = np.sqrt(np.einsum('bi,bi->b', axial, axial))
-    angle = np.arctan2(sine, 0.5 * (np.trace(turn, axis1=1, axis2=2) - 1.0))
-    error[:, 3:] = axial * (_LENGTH_M * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9),
-                                                 1.0))[:, None]
+    angle = np.arctan2(sine, 0.5 * (np.einsum('bii->b', turn) - 1.0))
+    per_sine = np.divide(angle, sine, out=np.ones_like(sine), where=sine > 1e-9)
+    error[:, 3:] = axial * (_LENGTH_M * per_sine)[:, None]
     return error
 
 
-def _damped_step(jacobian: np.ndarray, error: np.ndarray) -> np.ndarray:
-    weighted = jacobian * np.array([1.0] * 3 + [_LENGTH_M] * 3)[:, None]
+def _damped_step(jacobian: np.ndarray, error: np.ndarray, missed: np.ndarray) -> np.ndarray:
+    weighted = jacobian * _WEIGHTS
     across = np.swapaxes(weighted, 1, 2)
-    square = np.einsum('bi,bi->b', error, error)
-    normal = across @ weighted
-    index = np.arange(normal.shape[-1])
-    normal[:, index, index] += 0.01 * square[:, None] + 1e-14
-    step = np.linalg.solve(normal, across @ error[:, :, None])[:, :, 0]
+    damping = (0.01 * missed * missed + 1e-14)[:, None, None] * np.eye(jacobian.shape[-1])
+    step = np.linalg.solve(across @ weighted + damping, across @ error[:, :, None])[:, :, 0]
     largest = np.abs(step).max(axis=1, keepdims=True)
     return step * np.minimum(1.0, _STEP_RAD / np.maximum(largest, _STEP_RAD))
