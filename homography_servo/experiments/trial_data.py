@@ -96,6 +96,31 @@ def true_error(goal: np.ndarray, final: np.ndarray) -> dict[str, float]:
             'gamma_rad': float(abs(turn[2])), 'tilt_rad': float(np.hypot(turn[0], turn[1]))}
 
 
+def face_seen_at(home_from_object: np.ndarray, rays: np.ndarray, home_depth_m: float) -> np.ndarray:
+    """
+    Find the points of the face from where they are seen at a known pose.
+
+    Parameters
+    ----------
+    home_from_object : (4, 4) array
+        The pose.
+    rays : (N, 2) array
+        Undistorted normalised image coordinates of the points.
+    home_depth_m : float
+        Depth of home.
+
+    Returns
+    -------
+    (N, 3) array
+        The points in the object frame [m], where the rays meet the plane z = 0.
+
+    """
+    directions = np.column_stack([rays, np.ones(len(rays))]) @ home_from_object[:3, :3]
+    camera_in_object = -(home_from_object[:3, 3] + (0.0, 0.0, home_depth_m)) \
+        @ home_from_object[:3, :3]
+    return camera_in_object - directions * (camera_in_object[2] / directions[:, 2])[:, None]
+
+
 def as_json(trial: TrialData) -> dict[str, Any]:
     """Give the numbers of a trial in the form of ``report/trial.json``."""
     plan = trial.plan

@@ -23,18 +23,20 @@ AMBIGUOUS = 0.5
 SHORTEST_STEP_S = 0.02
 
 
-def verdict_msg(plan: Plan, header: Header, robot: Robot | None) -> DiagnosticArray:
+def verdict_msg(plan: Plan, header: Header, robot: Robot | None,
+                home_depth_m: float = 1.0) -> DiagnosticArray:
     """Make one status for the whole path and then one for each pose."""
-    statuses = [_whole(plan, header.frame_id)]
+    statuses = [_whole(plan, header.frame_id, home_depth_m)]
     names = None if robot is None else robot.joint_names
     statuses += [_single(plan.verdict, k, names) for k in range(len(plan.verdict.reasons))]
     return DiagnosticArray(header=header, status=statuses)
 
 
-def _whole(plan: Plan, frame_id: str) -> DiagnosticStatus:
+def _whole(plan: Plan, frame_id: str, home_depth_m: float) -> DiagnosticStatus:
     verdict, values = plan.verdict, plan.verdict.values
     facts = {'feasible': plan.ok, 'poses': len(plan.poses), 'way': plan.family,
-             'frame': frame_id, 'smallest_border_px': float(values.field_px.min())}
+             'frame': frame_id, 'home_depth_m': float(home_depth_m),
+             'smallest_border_px': float(values.field_px.min())}
     if not plan.ok:
         facts.update(first_bad_pose=verdict.first_bad + 1, failed_check=verdict.check)
     for number, attempt in enumerate(plan.attempts):

@@ -170,7 +170,7 @@ class PathPlanner(NodeKit, Node):
         self._markers.publish(marker_array(plan, desk.camera, desk.object_points_m,
                                            desk.home_depth_m, self._robot, header))
         self._image_markers.publish(image_marker(plan, desk.home_corners_px, in_image))
-        self._verdict.publish(verdict_msg(plan, header, self._robot))
+        self._verdict.publish(verdict_msg(plan, header, self._robot, desk.home_depth_m))
         self._poses.publish(pose_array_msg(plan.poses if plan.ok else [], header))
 
     def _taken(self, what: str, answer) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Any, Callable
 
+from homography_servo.experiments.trial_data import face_seen_at
 from homography_servo.experiments.trial_data import PlanRecord
 from homography_servo.experiments.trial_data import PoseRecord
 from homography_servo.experiments.trial_data import Snapshot
@@ -168,6 +169,16 @@ class TrialLog:
         elif event == ENDED:
             self._finish(text, time_s)
 
+    def _home_corners(self) -> np.ndarray | None:
+        """Find p_0: where the face would be seen at the virtual home pose."""
+        camera, plan = self.camera(), self.plan
+        if camera is None or not plan.verdict or not len(plan.home_from_object) \
+                or plan.corners_px.shape[:2] != (len(plan.home_from_object), 4):
+            return None
+        depth_m = float(plan.verdict[0].get('home_depth_m', 'nan'))
+        home = face_seen_at(plan.home_from_object[0], camera.rays(plan.corners_px[0]), depth_m)
+        return camera.project(home + (0.0, 0.0, depth_m)) if np.isfinite(home).all() else None
+
     def _finish(self, text: str, time_s: float) -> None:
         self.running = False
         word, _, sentence = text.partition(': ')
@@ -177,6 +188,7 @@ class TrialLog:
         if self.data.converged and self.data.poses:
             self.data.poses[-1].reached = True
             self._take_snapshot(self.data.poses[-1].index)
+        self.data.home_corners_px = self._home_corners()
         if self._goal_true is not None and self._last_true is not None:
             self.data.final_true_error = true_error(self._goal_true, self._last_true)
 

@@ -5,6 +5,7 @@ import json
 from homography_servo.experiments.report import print_summary
 from homography_servo.experiments.report import summary
 from homography_servo.experiments.report import write_report
+from homography_servo.experiments.trial_data import face_seen_at
 from homography_servo.experiments.trial_data import PlanRecord
 from homography_servo.experiments.trial_data import PoseRecord
 from homography_servo.experiments.trial_data import Snapshot
@@ -91,3 +92,12 @@ def test_true_error_takes_a_displacement_apart():
     error = true_error(goal, final)
     assert error == pytest.approx(
         {'lateral_m': 0.005, 'depth_m': 0.01, 'gamma_rad': 0.1, 'tilt_rad': 0.05})
+
+
+def test_points_of_the_face_are_found_where_they_are_seen():
+    points_m = np.array([[-0.05, -0.03, 0.0], [0.05, -0.03, 0.0], [0.02, 0.03, 0.0]])
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler('xyz', [0.3, -0.2, 0.8]).as_matrix()
+    pose[:3, 3] = [0.1, 0.02, -0.1]
+    seen = CAMERA.project(points_m @ pose[:3, :3].T + pose[:3, 3] + (0.0, 0.0, 0.8))
+    assert face_seen_at(pose, CAMERA.rays(seen), 0.8) == pytest.approx(points_m, abs=1e-12)
