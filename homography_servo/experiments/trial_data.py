@@ -96,7 +96,8 @@ def true_error(goal: np.ndarray, final: np.ndarray) -> dict[str, float]:
             'gamma_rad': float(abs(turn[2])), 'tilt_rad': float(np.hypot(turn[0], turn[1]))}
 
 
-def face_seen_at(home_from_object: np.ndarray, rays: np.ndarray, home_depth_m: float) -> np.ndarray:
+def face_seen_at(home_from_object: np.ndarray, rays: np.ndarray,
+                 home_depth_m: float) -> np.ndarray:
     """
     Find the points of the face from where they are seen at a known pose.
 
