@@ -314,6 +314,25 @@ class ArmDriver:
                 due += [self._next_target_s] if self._streaming else []
             return min(due)
 
+    @property
+    def resting(self) -> bool:
+        """Tell whether nothing moves and nothing waits to move."""
+        return self._motion is None and self._verify is None and self._offered is None
+
+    def quit(self, now_s: float) -> None:
+        """
+        Say farewell: a moving arm is stopped at once and latched.
+
+        With an arm at rest the device's watchdog is switched off, or it would take our
+        absence for a fault.
+        """
+        with self._lock:
+            if not self.resting:
+                self.stop_now('the bridge ends')
+            elif self._ready and not self._latch:
+                self.link.request('!watch 0')
+                self.link.turn(now_s)
+
     def close(self) -> None:
         """Release the port."""
         with self._lock:

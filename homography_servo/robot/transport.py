@@ -12,6 +12,7 @@ import os
 import select
 import termios
 import threading
+import time
 from typing import Callable, Protocol
 
 from homography_servo.errors import LinkError
@@ -19,6 +20,7 @@ from homography_servo.robot.device import Device
 
 CHUNK = 4096
 WRITE_TIMEOUT_S = 0.1
+DRAIN_S = 0.05
 
 
 class PortMissing(LinkError):
@@ -178,15 +180,22 @@ class SerialTransport:
         with self._lock:
             if self._fd < 0:
                 return
-            try:
-                termios.tcflush(self._fd, termios.TCIOFLUSH)
-            except (OSError, termios.error):
-                pass  # it is gone already
+            self._drain()
             self._fd = -1
             try:
                 self._port.close()
             except (OSError, termios.error):
                 pass
+
+    def _drain(self) -> None:
+        """Let a last stop byte out, but do not wait for a line that takes nothing."""
+        try:
+            until_s = time.monotonic() + DRAIN_S
+            while self._port.out_waiting and time.monotonic() < until_s:
+                time.sleep(0.001)
+            termios.tcflush(self._fd, termios.TCIOFLUSH)
+        except (OSError, termios.error):
+            pass  # it is gone already
 
     def _open_fd(self) -> int:
         if self._fd < 0:

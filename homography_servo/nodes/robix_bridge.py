@@ -1,0 +1,332 @@
+"""The node `robix_bridge`: a Robix arm behind a serial line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import time
+
+from homography_servo.errors import ConfigError
+from homography_servo.errors import HardwareError
+from homography_servo.errors import LinkError
+from homography_servo.nodes.conversions import joint_state_msg
+from homography_servo.nodes.conversions import seconds_from_duration
+from homography_servo.nodes.conversions import seconds_from_stamp
+from homography_servo.nodes.kit import COMMANDS
+from homography_servo.nodes.kit import DEFAULT
+from homography_servo.nodes.kit import ERROR
+from homography_servo.nodes.kit import Health
+from homography_servo.nodes.kit import NodeKit
+from homography_servo.nodes.kit import OK
+from homography_servo.nodes.kit import WARN
+from homography_servo.nodes.parameters import Parameters
+from homography_servo.nodes.run import run_node
+from homography_servo.places import find_config
+from homography_servo.result import Rejected
+from homography_servo.robot.arm_thread import ArmThread
+from homography_servo.robot.driver import ArmDriver
+from homography_servo.robot.driver import DriverSettings
+from homography_servo.robot.limits import joint_order
+from homography_servo.robot.link import Link
+from homography_servo.robot.port import Port
+from homography_servo.robot.port import PortSettings
+from homography_servo.robot.rivals import Rivals
+from homography_servo.robot.robot_file import load_robot
+from homography_servo.robot.robot_file import Robot
+from homography_servo.robot.trajectory import TrajectoryPoint
+from homography_servo.robot.trajectory import TrajectorySettings
+from homography_servo.robot.urdf import urdf_text
+from homography_servo.settings import flag
+from homography_servo.settings import Settings
+from homography_servo.settings import text
+from rclpy.lifecycle import LifecycleNode
+from rclpy.lifecycle import TransitionCallbackReturn
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+STATE_RATE_HZ = 50.0
+TWO_COMMAND = 'two publishers command at the same time'
+
+
+@dataclass(frozen=True)
+class BridgeSettings(Settings):
+    """The bridge itself."""
+
+    robot_file: str = text('robix_rcs6.yaml', 'robot file: a path, or a name in config/robots',
+                           read_only=True)
+    autostart: bool = flag(True, 'configure and activate at once, without a lifecycle manager',
+                           read_only=True)
+
+
+class RobixBridge(NodeKit, LifecycleNode):
+    """
+    Drive a Robix arm through a serial line, and let nothing unsafe out.
+
+    Takes `joint_trajectory` and `joint_commands`, gives `joint_states` at 50 Hz
+    (commanded positions: the servos have no feedback). A software stop, not a safety
+    function.
+    """
+
+    NAME = 'robix_bridge'
+    SETTINGS = (BridgeSettings, PortSettings, DriverSettings, TrajectorySettings)
+    EXAMPLE = 'ros2 run homography_servo robix_bridge --ros-args -p port:=/dev/ttyUSB0'
+
+    def __init__(self, **kwargs) -> None:
+        super().__init__(self.NAME, **kwargs)
+        self._parameters = Parameters(self, *self.SETTINGS)
+        self._robot = self._load()
+        self._port: Port | None = None
+        self._driver: ArmDriver | None = None
+        self._thread: ArmThread | None = None
+        self._shown_state = ''
+        self._rivals = {'joint_trajectory': Rivals(), 'joint_commands': Rivals()}
+        self._parameters.on_change(self._on_parameters)
+        self._make_interface()
+        self.start_kit()
+        if self._parameters[BridgeSettings].autostart:
+            self._open()
+            self.trigger_configure()
+            self.trigger_activate()
+
+    def _load(self) -> Robot:
+        name = self._parameters[BridgeSettings].robot_file
+        try:
+            return load_robot(find_config(name))
+        except FileNotFoundError as error:
+            raise ConfigError(self.NAME, 0, 'robot_file', str(error)) from error
+
+    def _make_interface(self) -> None:
+        self._states = self.create_publisher(JointState, 'joint_states', DEFAULT)
+        self._state = self.latched(String, '~/state')
+        self._description = self.latched(String, 'robot_description')
+        self._description.publish(String(data=urdf_text(self._robot)))
+        self.listen(JointTrajectory, 'joint_trajectory', self._on_trajectory, COMMANDS)
+        self.listen(JointState, 'joint_commands', self._on_command, COMMANDS)
+        self.serve(Trigger, '~/stop', self._on_stop)
+        self.serve(Trigger, '~/reset', self._on_reset)
+        self.serve(Trigger, '~/home', self._on_home)
+        self.serve(SetBool, '~/power', self._on_power)
+        self.serve(SetBool, '~/pause', self._on_pause)
+        self.every(1.0 / STATE_RATE_HZ, self._publish)
+
+    # --- life -------------------------------------------------------------------------
+
+    def _open(self) -> None:
+        """Open the port; HardwareError says why that fails."""
+        if self._thread is not None:
+            return
+        settings, port = self._parameters[DriverSettings], self._parameters[PortSettings]
+        servos = max(6, *(joint.channel for joint in self._robot.joints))
+        try:
+            self._port = Port(port, settings.baud, servos, settings.tick_s)
+        except ValueError as error:
+            raise ConfigError(self.NAME, 0, 'fake_faults', str(error)) from error
+        except LinkError as error:
+            raise ConfigError(self.NAME, 0, 'session_log', str(error)) from error
+        first = time.monotonic_ns() // 1000 % 60000 + 1  # differs from the run before
+        link = Link(self._port.open, settings.baud, first)
+        self._driver = ArmDriver(self._robot, link, settings,
+                                 self._parameters[TrajectorySettings])
+        try:
+            link.open_now()
+        except LinkError as error:
+            self._port.close()
+            self._port = self._driver = None
+            raise HardwareError(str(error)) from error
+        self._thread = ArmThread(self._driver)
+        self._thread.start()
+
+    def on_configure(self, state) -> TransitionCallbackReturn:
+        """Open the port."""
+        try:
+            self._open()
+        except (ConfigError, HardwareError) as error:
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        return super().on_configure(state)
+
+    def on_activate(self, state) -> TransitionCallbackReturn:
+        """Allow motion."""
+        self._driver.active = True
+        return super().on_activate(state)
+
+    def on_deactivate(self, state) -> TransitionCallbackReturn:
+        """Come to rest and allow no motion."""
+        self._driver.command((), (), time.monotonic())
+        self._driver.active = False
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state) -> TransitionCallbackReturn:
+        """Release the port."""
+        self._release()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state) -> TransitionCallbackReturn:
+        """Release the port."""
+        self._release()
+        return super().on_shutdown(state)
+
+    def on_error(self, state) -> TransitionCallbackReturn:
+        """Stop and release the port."""
+        self._release()
+        return super().on_error(state)
+
+    def _release(self) -> None:
+        if self._thread is None:
+            return
+        self._driver.active = False
+        self._driver.quit(time.monotonic())
+        self._thread.stop()
+        self._port.close()
+        self._thread = self._driver = self._port = None
+
+    def on_signal(self) -> None:
+        """Stop a moving arm at once."""
+        driver = self._driver
+        if driver is not None:
+            driver.active = False
+            if not driver.resting:
+                driver.stop_now('the bridge was told to end')
+
+    def close(self) -> None:
+        """Release the port."""
+        self._release()
+
+    def on_fault(self, error: Exception) -> None:
+        """Stop the arm when this program fails."""
+        if self._driver is not None:
+            self._driver.stop_now(f'internal error: {error}')
+
+    def _on_parameters(self) -> None:
+        if self._driver is not None:
+            self._driver.settings = self._parameters[DriverSettings]
+            self._driver.trajectory_settings = self._parameters[TrajectorySettings]
+
+    # --- commands ---------------------------------------------------------------------
+
+    def _on_trajectory(self, msg: JointTrajectory, info: dict) -> None:
+        if self._may_command('joint_trajectory', info):
+            self._offer('joint_trajectory', lambda now_s: self._run_trajectory(msg, now_s))
+
+    def _on_command(self, msg: JointState, info: dict) -> None:
+        if self._may_command('joint_commands', info):
+            self._offer('joint_commands', lambda now_s: self._run_command(msg, now_s))
+
+    def _may_command(self, topic: str, info: dict) -> bool:
+        """Find two publishers by the numbers of their messages."""
+        now_s = time.monotonic()
+        self.count(f'received_{topic}')
+        if self._driver is None:
+            self.reject(topic, 'the port is not open; configure the node first')
+            return False
+        if self._rivals[topic].meet(int(info['publication_sequence_number']), now_s):
+            self.reject(topic, TWO_COMMAND)
+            self._driver.hold(TWO_COMMAND, now_s, self._parameters[DriverSettings].rival_hold_s)
+            return False
+        return True
+
+    def _offer(self, topic: str, run) -> None:
+        """Leave a command to the thread of the port: a flood must not delay a stop."""
+        def judged(now_s: float) -> None:
+            try:
+                problem = run(now_s)
+            except Exception as error:  # data must never end the thread of the port
+                self._failed(run, error)
+                return
+            if problem is not None:
+                self.reject(topic, problem.reason)
+        self._driver.offer(judged)
+        self._thread.wake()
+
+    def _run_trajectory(self, msg: JointTrajectory, now_s: float) -> Rejected | None:
+        points = [TrajectoryPoint(seconds_from_duration(point.time_from_start),
+                                  point.positions, point.velocities, point.accelerations,
+                                  point.effort) for point in msg.points]
+        return self._driver.command(msg.joint_names, points, now_s,
+                                    seconds_from_stamp(msg.header.stamp),
+                                    1e-9 * self.get_clock().now().nanoseconds)
+
+    def _run_command(self, msg: JointState, now_s: float) -> Rejected | None:
+        order = joint_order(self._driver.limits, msg.name)
+        if isinstance(order, Rejected):
+            return order
+        if len(msg.position) != len(msg.name):
+            return Rejected(f'{len(msg.name)} names but {len(msg.position)} positions')
+        return self._driver.go([msg.position[index] for index in order], now_s)
+
+    # --- services ---------------------------------------------------------------------
+
+    def _on_stop(self, request: Trigger.Request) -> tuple[bool, str]:
+        if self._driver is None:
+            return False, 'the port is not open'
+        sent = self._driver.stop_now('stopped by ~/stop')
+        self._publish_state()
+        return (True, 'stopped; call ~/reset to go on') if sent else \
+            (False, 'the stop byte could not be sent: the robot is not connected')
+
+    def _on_reset(self, request: Trigger.Request) -> tuple[bool, str]:
+        return self._told(self._driver and self._driver.reset, 'reset; nothing moves by itself')
+
+    def _on_home(self, request: Trigger.Request) -> tuple[bool, str]:
+        return self._told(self._driver and self._driver.home, 'going home slowly',
+                          time.monotonic())
+
+    def _on_power(self, request: SetBool.Request) -> tuple[bool, str]:
+        return self._told(self._driver and self._driver.power,
+                          'power on' if request.data else 'power off',
+                          bool(request.data), time.monotonic())
+
+    def _on_pause(self, request: SetBool.Request) -> tuple[bool, str]:
+        return self._told(self._driver and self._driver.pause,
+                          'paused' if request.data else 'going on',
+                          bool(request.data), time.monotonic())
+
+    def _told(self, action, success: str, *args) -> tuple[bool, str]:
+        if self._driver is None:
+            return False, 'the port is not open; configure the node first'
+        self._thread.wake()
+        problem = action(*args)
+        self._thread.wake()
+        self._publish_state()
+        return (True, success) if problem is None else (False, problem.reason)
+
+    # --- what it says -----------------------------------------------------------------
+
+    def _publish(self) -> None:
+        self._publish_state()
+        if self._driver is None:
+            return
+        arm = self._driver.snapshot(time.monotonic()).arm
+        if arm is not None:
+            header = Header(stamp=self.get_clock().now().to_msg(), frame_id='base_link')
+            self._states.publish(joint_state_msg(self._robot.joint_names, arm.positions,
+                                                 header, arm.velocities))
+
+    def _publish_state(self) -> None:
+        state = self._driver.state if self._driver else 'DISCONNECTED'
+        if state != self._shown_state:
+            self._shown_state = state
+            self._state.publish(String(data=state))
+            self.get_logger().info(state)
+
+    def diagnose(self) -> list[Health]:
+        """Tell how the link and the arm are."""
+        if self._driver is None:
+            return [Health('link', WARN, 'the port is not open')]
+        driver, link = self._driver, self._driver.link
+        values = {'port': self._port.url, 'device': driver.device,
+                  'longest_turn_s': self._thread.longest_turn_s, **driver.all_counts}
+        self._thread.longest_turn_s = 0.0
+        level = OK if not link.problem else ERROR
+        state = driver.state
+        bad = state.startswith(('HOLD', 'LATCHED', 'DISCONNECTED'))
+        return [Health('link', level, link.problem or 'connected', values),
+                Health('arm', WARN if bad else OK, state)]
+
+
+def main(args=None) -> int:
+    """Run the node."""
+    return run_node(RobixBridge, args)
