@@ -1,11 +1,10 @@
 """
-Measure where the sides of a polygon run, from the raw pixels around them.
+Measure where the sides of a polygon run: a blurred step fitted to raw pixels.
 
-Each side is crossed by scan lines, one per pixel column (flat sides) or row (steep
-sides), so that every pixel near the side is used exactly once and nothing is
-interpolated. A pixel at signed distance d from the side is expected to have the grey
-level outside + contrast * share(d), where share is the blurred profile of an edge;
-the offset of the side at that line is the linear least squares step of that model.
+A pixel at signed distance d inside a side is expected to have the grey level
+outside + contrast * share(d), where share is the profile of a blurred edge. Both
+levels are fitted per segment of a few scan lines; the segment's offset is the linear
+least squares step of that model, its variance that of the same step.
 """
 
 from __future__ import annotations
@@ -13,200 +12,35 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from homography_servo.tracking.profile import EdgeProfile
+from homography_servo.tracking.scan import FAR_PX
+from homography_servo.tracking.scan import Geometry
+from homography_servo.tracking.scan import Scan
+from homography_servo.tracking.scan import side_geometry
 import numpy as np
 
-CORNER_REACH_PX = 1.5  # lines go on for this much beyond the corners
-CORNER_ZONE_PX = 3.5  # lines this close to a corner see the next side too
+FAR_SIGMAS = 3.0  # far pixels that differ by more than this have another grey level
+FLAT_GREY = 1.0  # and uneven lighting makes them differ by this much
 
 
-class ScanLines(NamedTuple):
-    """Pixels across the sides of a polygon; n lines of 2 half + 1 pixels each."""
-
-    side: np.ndarray  # (n,) which side
-    along: np.ndarray  # (n,) place on it, 0 at its first corner, 1 at its second
-    normal: np.ndarray  # (n, 2) unit vector towards the inside
-    first: np.ndarray  # (n,) signed distance of the first pixel, inside positive [px]
-    step: np.ndarray  # (n,) change of that distance per pixel
-    grey: np.ndarray  # (n, 2 half + 1) float32 grey levels
-    pixel: np.ndarray  # (n, 2) first pixel (u, v)
-    advance: np.ndarray  # (n, 2) from pixel to pixel: (0, 1) or (1, 0)
-
-
-class EdgeMeasurement(NamedTuple):
-    """What the lines say about the sides; arrays (n,) with one entry per line."""
+class Edges(NamedTuple):
+    """What the segments say about the sides; arrays with one entry per segment."""
 
     side: np.ndarray
-    along: np.ndarray
-    normal: np.ndarray
-    inward_px: np.ndarray  # how far the edge lies inside of where it was expected
-    variance_px2: np.ndarray  # of inward_px, from the noise found on this line
+    along: np.ndarray  # where on the side, 0 to 1
+    normal: np.ndarray  # (s, 2) unit vector towards the inside
+    inward: np.ndarray  # how far the edge lies inside of where it was expected [px]
+    variance: np.ndarray  # of inward, by the noise found in this segment [px^2]
     contrast: np.ndarray  # grey levels inside minus outside
-    inside: np.ndarray  # grey level inside
+    outside: np.ndarray  # grey level
     residual: np.ndarray  # mean squared deviation of the pixels from the model
+    lines: np.ndarray  # scan lines in the segment
 
 
-class Geometry(NamedTuple):
-    """Sides of a polygon."""
+class Sums(NamedTuple):
+    """Sums over the pixels of each segment."""
 
-    start: np.ndarray  # (m, 2)
-    edge: np.ndarray  # (m, 2)
-    length: np.ndarray  # (m,)
-    normal: np.ndarray  # (m, 2) inwards where corners run clockwise on the screen
-
-
-def side_geometry(corners: np.ndarray) -> Geometry:
-    """Describe the sides of a polygon (m, 2)."""
-    edge = np.roll(corners, -1, axis=0) - corners
-    length = np.maximum(np.hypot(edge[:, 0], edge[:, 1]), 1e-9)
-    normal = np.column_stack([-edge[:, 1], edge[:, 0]]) / length[:, None]
-    return Geometry(corners, edge, length, normal)
-
-
-def scan_lines(image: np.ndarray, corners_px: np.ndarray, half: int,
-               stride: int = 1) -> ScanLines:
-    """
-    Read the pixels around the sides of a polygon.
-
-    Parameters
-    ----------
-    image : (H, W) uint8 array
-        Contiguous grey image.
-    corners_px : (m, 2) array
-        Where the polygon is expected, clockwise on the screen.
-    half : int
-        Pixels on either side of the expected edge.
-    stride : int
-        Distance of the lines [px]; 1 uses every pixel.
-
-    Returns
-    -------
-    ScanLines
-        Lines that would leave the image are left out.
-
-    """
-    geometry = side_geometry(corners_px)
-    side, main, upright = _line_places(geometry, stride)
-    start, edge = geometry.start[side], geometry.edge[side]
-    rows = np.arange(len(side))
-    main_axis = upright.astype(int)
-    along = (main - start[rows, main_axis]) / edge[rows, main_axis]
-    cross = start[rows, 1 - main_axis] + along * edge[rows, 1 - main_axis]
-    base = np.rint(cross).astype(np.int64) - half
-    height, width = image.shape
-    main_size, cross_size = np.where(upright, height, width), np.where(upright, width, height)
-    keep = (base >= 0) & (base + 2 * half < cross_size) & (main >= 0) & (main < main_size)
-    if not keep.all():
-        side, main, upright, along, base = (a[keep] for a in (side, main, upright, along, base))
-        start = start[keep]
-    pixel = np.where(upright[:, None], np.column_stack([base, main]),
-                     np.column_stack([main, base]))
-    advance = np.where(upright[:, None], (1, 0), (0, 1))
-    normal = geometry.normal[side]
-    offset = pixel - start
-    return ScanLines(side, along, normal, (normal * offset).sum(axis=1),
-                     (normal * advance).sum(axis=1), _read(image, pixel, upright, half),
-                     pixel, advance)
-
-
-def _line_places(geometry: Geometry, stride: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Give each line's side, its column or row, and whether its side is steep."""
-    upright = np.abs(geometry.edge[:, 1]) > np.abs(geometry.edge[:, 0])
-    main_axis = upright.astype(int)
-    sides = np.arange(len(upright))
-    from_main = geometry.start[sides, main_axis]
-    to_main = from_main + geometry.edge[sides, main_axis]
-    low = np.ceil(np.minimum(from_main, to_main) - CORNER_REACH_PX).astype(np.int64)
-    high = np.floor(np.maximum(from_main, to_main) + CORNER_REACH_PX).astype(np.int64)
-    count = (high - low) // stride + 1
-    side = np.repeat(sides, count)
-    number = np.arange(len(side)) - np.repeat(np.cumsum(count) - count, count)
-    return side, low[side] + stride * number, upright[side]
-
-
-def _read(image: np.ndarray, pixel: np.ndarray, upright: np.ndarray, half: int) -> np.ndarray:
-    width = image.shape[1]
-    place = (pixel[:, 1] * width + pixel[:, 0])[:, None] \
-        + np.where(upright, 1, width)[:, None] * np.arange(2 * half + 1)
-    return image.reshape(-1).take(place).astype(np.float32)
-
-
-def measure_edges(lines: ScanLines, corners_px: np.ndarray, profile: EdgeProfile,
-                  window: int = 6) -> EdgeMeasurement:
-    """
-    Fit the edge profile on every line.
-
-    Parameters
-    ----------
-    lines : ScanLines
-        Pixels, read around some polygon close to this one.
-    corners_px : (m, 2) array
-        Where the sides are thought to be now.
-    profile : EdgeProfile
-        The blurred edge.
-    window : int
-        Lines on either side of a line that share its grey levels.
-
-    Returns
-    -------
-    EdgeMeasurement
-
-    """
-    geometry = side_geometry(corners_px)
-    along, first, step, normal = _relocate(lines, geometry)
-    distance = first[:, None] + step[:, None] * np.arange(lines.grey.shape[1], dtype=np.float32)
-    place = profile.index(distance)
-    share, slope = profile.share(place), profile.slope(place)
-    _cut_corners(lines, geometry, along, profile, share, slope)
-    sums = _products(lines.grey, share, slope)
-    outside, contrast, kept = _levels(sums, lines, window)
-    pixels = lines.grey.shape[1]
-    response = sums.slope_grey - outside * sums.slope - contrast * sums.slope_share
-    energy = np.maximum(sums.slope_slope * kept, 1e-9)
-    residual = _residual(sums, outside, contrast, pixels)
-    safe = np.where(np.abs(contrast) < 1e-3, 1e-3, contrast)
-    return EdgeMeasurement(lines.side, along, normal, -response / (safe * energy),
-                           residual / (safe * safe * energy), contrast, outside + contrast,
-                           residual)
-
-
-def _relocate(lines: ScanLines, geometry: Geometry) -> tuple[np.ndarray, ...]:
-    """Express the lines with respect to sides that have moved a little."""
-    normal = geometry.normal[lines.side]
-    offset = lines.pixel - geometry.start[lines.side]
-    first = (normal * offset).sum(axis=1)
-    step = (normal * lines.advance).sum(axis=1)
-    # Where the line crosses the side, not where its first pixel projects to.
-    crossing = offset - (first / step)[:, None] * lines.advance
-    edge = geometry.edge[lines.side]
-    along = (crossing * edge).sum(axis=1) / geometry.length[lines.side] ** 2
-    return along, first.astype(np.float32), step.astype(np.float32), normal
-
-
-def _cut_corners(lines: ScanLines, geometry: Geometry, along: np.ndarray, profile: EdgeProfile,
-                 share: np.ndarray, slope: np.ndarray) -> None:
-    """Multiply in the share of the adjacent side on the lines close to a corner."""
-    length = geometry.length[lines.side]
-    near_start = along * length < CORNER_ZONE_PX
-    near_end = (1.0 - along) * length < CORNER_ZONE_PX
-    rows = np.flatnonzero(near_start | near_end)
-    count = len(geometry.length)
-    neighbour = (lines.side[rows] + np.where(near_start[rows], -1, 1)) % count
-    normal = geometry.normal[neighbour]
-    first = (normal * (lines.pixel[rows] - geometry.start[neighbour])).sum(axis=1)
-    step = (normal * lines.advance[rows]).sum(axis=1)
-    pixels = np.arange(share.shape[1], dtype=np.float32)
-    distance = first.astype(np.float32)[:, None] + step.astype(np.float32)[:, None] * pixels
-    other = profile.share(profile.index(distance))
-    share[rows] *= other
-    slope[rows] *= other
-
-
-class _Sums(NamedTuple):
-    """Sums of products over the pixels of each line."""
-
-    one: int
+    one: np.ndarray
     grey: np.ndarray
-    grey_grey: np.ndarray
     share: np.ndarray
     share_share: np.ndarray
     share_grey: np.ndarray
@@ -214,46 +48,131 @@ class _Sums(NamedTuple):
     slope_share: np.ndarray
     slope_slope: np.ndarray
     slope_grey: np.ndarray
+    slope_along: np.ndarray
 
 
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.einsum('ij,ij->i', a, b)
-
-
-def _products(grey: np.ndarray, share: np.ndarray, slope: np.ndarray) -> _Sums:
-    one = np.ones(grey.shape[1], np.float32)
-    return _Sums(grey.shape[1], grey @ one, _dot(grey, grey), share @ one, _dot(share, share),
-                 _dot(share, grey), slope @ one, _dot(slope, share), _dot(slope, slope),
-                 _dot(slope, grey))
-
-
-def _levels(sums: _Sums, lines: ScanLines, window: int) -> tuple[np.ndarray, ...]:
+def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile) -> Edges:
     """
-    Fit grey level outside and contrast, each over a few lines of the same side.
+    Fit the edge profile in every segment.
 
-    The third answer is the share of the offset's information that is left when the
-    levels are unknown too: a shift of the side looks partly like a change of levels.
+    Parameters
+    ----------
+    scan : Scan
+        Pixels, read around some polygon close to this one.
+    corners : (m, 2) array
+        Where the corners are thought to be now, in the plane of the scan.
+    profile : EdgeProfile
+        The blurred edge.
+
+    Returns
+    -------
+    Edges
+
     """
-    table = np.column_stack([np.full(len(sums.grey), float(sums.one)), sums.share,
-                             sums.share_share, sums.grey, sums.share_grey,
-                             sums.slope, sums.slope_share, sums.slope_slope])
-    total = np.vstack([np.zeros((1, 8)), np.cumsum(table, axis=0)])
-    number = np.arange(len(table))
-    begin = np.searchsorted(lines.side, lines.side, side='left')
-    end = np.searchsorted(lines.side, lines.side, side='right')
-    low, high = np.maximum(number - window, begin), np.minimum(number + window + 1, end)
-    one, share, share2, grey, share_grey, slope, slope_share, slope2 = (total[high] - total[low]).T
-    determinant = np.maximum(one * share2 - share * share, 1e-6)
-    contrast = (one * share_grey - share * grey) / determinant
-    taken = (share2 * slope * slope - 2.0 * share * slope * slope_share
-             + one * slope_share * slope_share) / determinant
-    kept = np.clip(1.0 - taken / np.maximum(slope2, 1e-9), 0.1, 1.0)
-    return (grey - contrast * share) / one, contrast, kept
+    geometry = side_geometry(corners)
+    first, step, scale = line_distances(scan, geometry)
+    place = profile.places(first, step, len(scan.grey))
+    share, slope = profile.share(place), profile.slope(place)
+    _cut_corners(scan, geometry, profile, share, slope, scale)
+    sums = _sums(scan, share, slope)
+    outside, contrast, kept, residual = _levels(sums, scan, step)
+    response = sums.slope_grey - outside * sums.slope - contrast * sums.slope_share
+    energy = np.maximum(sums.slope_slope * kept, 1e-9)
+    safe = np.where(np.abs(contrast) < 1e-3, 1e-3, contrast)
+    length = 1.0 if scale is None else 1.0 / scale.take(scan.first_line)
+    return Edges(scan.segment_side, sums.slope_along / np.maximum(sums.slope_slope, 1e-9),
+                 geometry.normal[scan.segment_side], -length * response / (safe * energy),
+                 length * length * residual / (safe * safe * energy), contrast, outside,
+                 residual, scan.lines)
 
 
-def _residual(sums: _Sums, outside: np.ndarray, contrast: np.ndarray, pixels: int) -> np.ndarray:
-    """Give the mean squared deviation of each line's pixels from the model."""
-    total = sums.grey_grey - 2.0 * (outside * sums.grey + contrast * sums.share_grey) \
-        + outside * outside * pixels + 2.0 * outside * contrast * sums.share \
-        + contrast * contrast * sums.share_share
-    return np.maximum(total / max(pixels - 2, 1), 1e-3)
+def line_distances(scan: Scan, geometry: Geometry) -> tuple[np.ndarray, ...]:
+    """
+    Give each line's first signed distance, its step, and image pixels per plane unit.
+
+    Distances are in pixels of the image; the scale is None where the plane is the image.
+    """
+    normal_u, normal_v = (column.take(scan.side) for column in geometry.normal.T)
+    first = normal_u * scan.u + normal_v * scan.v - geometry.level.take(scan.side)
+    step = normal_u * scan.du + normal_v * scan.dv
+    if not scan.bent:
+        return first, step, None
+    scale = 1.0 / np.sqrt(scan.du * scan.du + scan.dv * scan.dv)
+    return first * scale, step * scale, scale
+
+
+def _cut_corners(scan: Scan, geometry: Geometry, profile: EdgeProfile, share: np.ndarray,
+                 slope: np.ndarray, scale: np.ndarray | None) -> None:
+    """Multiply in the share of the next side on the lines close to a corner."""
+    near, other = scan.near, scan.neighbour
+    normal_u, normal_v = (column.take(other) for column in geometry.normal.T)
+    first = normal_u * scan.u.take(near) + normal_v * scan.v.take(near) \
+        - geometry.level.take(other)
+    step = normal_u * scan.du.take(near) + normal_v * scan.dv.take(near)
+    if scale is not None:
+        first, step = first * scale.take(near), step * scale.take(near)
+    beyond = profile.share(profile.places(first, step, len(share)))
+    share[:, near] *= beyond
+    slope[:, near] *= beyond
+
+
+def _sums(scan: Scan, share: np.ndarray, slope: np.ndarray) -> Sums:
+    table = np.empty((8, share.shape[1]), np.float32)
+    np.add.reduce(share, axis=0, out=table[0])
+    np.einsum('ij,ij->j', share, share, out=table[1])
+    np.einsum('ij,ij->j', share, scan.grey, out=table[2])
+    np.add.reduce(slope, axis=0, out=table[3])
+    np.einsum('ij,ij->j', slope, share, out=table[4])
+    np.einsum('ij,ij->j', slope, slope, out=table[5])
+    np.einsum('ij,ij->j', slope, scan.grey, out=table[6])
+    np.multiply(table[5], scan.along, out=table[7], casting='unsafe')
+    total = np.add.reduceat(table, scan.first_line, axis=1, dtype=np.float64)
+    return Sums(scan.lines * float(len(share)), scan.grey_sum, *total)
+
+
+def _levels(sums: Sums, scan: Scan, step: np.ndarray) -> tuple[np.ndarray, ...]:
+    """
+    Fit the grey levels of each segment.
+
+    Returns
+    -------
+    four (s,) arrays
+        Level outside, contrast, share of the offset's information that is left when
+        the levels are unknown, and mean squared deviation.
+
+    """
+    outside, contrast, _ = _two_levels(sums)
+    # At the least squares solution the explained part is the product with the data.
+    missed = scan.grey_square - outside * sums.grey - contrast * sums.share_grey
+    residual = np.maximum(missed, 0.0) / (sums.one - 2.0)
+    # Far pixels pin the levels down where they have the same level as the near ones.
+    rising = step.take(scan.first_line) > 0.0
+    far_in, far_out = (np.where(rising, scan.high_sum, scan.low_sum),
+                       np.where(rising, scan.low_sum, scan.high_sum))
+    pixels = FAR_PX * scan.lines
+    allowed = FAR_SIGMAS * np.sqrt(2.0 * middle(residual) / pixels) + FLAT_GREY
+    use_in = pixels * (np.abs(far_in / pixels - outside - contrast) < allowed)
+    use_out = pixels * (np.abs(far_out / pixels - outside) < allowed)
+    grey_in = np.where(use_in, far_in, 0.0)
+    wider = sums._replace(one=sums.one + use_in + use_out, share=sums.share + use_in,
+                          share_share=sums.share_share + use_in,
+                          grey=sums.grey + grey_in + np.where(use_out, far_out, 0.0),
+                          share_grey=sums.share_grey + grey_in)
+    outside, contrast, kept = _two_levels(wider)
+    return outside, contrast, kept, residual
+
+
+def _two_levels(sums: Sums) -> tuple[np.ndarray, ...]:
+    determinant = np.maximum(sums.one * sums.share_share - sums.share * sums.share, 1e-6)
+    contrast = (sums.one * sums.share_grey - sums.share * sums.grey) / determinant
+    taken = (sums.share_share * sums.slope * sums.slope
+             - 2.0 * sums.share * sums.slope * sums.slope_share
+             + sums.one * sums.slope_share * sums.slope_share) / determinant
+    kept = np.maximum(1.0 - taken / np.maximum(sums.slope_slope, 1e-9), 0.1)
+    return (sums.grey - contrast * sums.share) / sums.one, contrast, kept
+
+
+def middle(values: np.ndarray) -> float:
+    """Give the median of a short array, quickly."""
+    half = len(values) // 2
+    return float(np.partition(values, half)[half])

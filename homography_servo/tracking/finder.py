@@ -19,14 +19,16 @@ from homography_servo.geometry.camera import Camera
 from homography_servo.geometry.face import face_corners
 from homography_servo.result import Rejected
 from homography_servo.tracking.face_pose import pose_of_face
-from homography_servo.tracking.profile import edge_profile
+from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.snake import fit_snake
+from homography_servo.tracking.snake import Look
+from homography_servo.tracking.snake import quality_of
 from homography_servo.tracking.snake import SnakeFit
 import numpy as np
 
 MIN_SIDE_PX = 8.0
 SHRUNK_BY_PX = 1.5  # a region between edges is smaller than the face by this
-WIDE_BLUR_PX = 2.0
+WIDE = Look(2.0, 8, 3, 3, 2, 0.5)
 ENOUGH_CANDIDATES = 24
 FIELD_GUESS = 1.2  # focal length over image width of a camera nobody calibrated
 
@@ -39,8 +41,8 @@ class Found(NamedTuple):
     shape_miss_px: float  # RMS of the corners about the nearest rectangle's projection
 
 
-def find_face(image: np.ndarray, face_size_m: tuple[float, float], camera: Camera | None,
-              blur_px: float, expected_px: np.ndarray | None = None,
+def find_face(image: np.ndarray, face_size_m: tuple[float, float], plane: Plane,
+              blur_px: float, expected: np.ndarray | None = None,
               polarity: int = 0) -> Found | Rejected:
     """
     Find the quadrilateral that looks most like the face.
@@ -51,12 +53,13 @@ def find_face(image: np.ndarray, face_size_m: tuple[float, float], camera: Camer
         Contiguous grey image.
     face_size_m : (float, float)
         Width and height of the face.
-    camera : Camera or None
-        Makes the check of the proportions sharp; a typical lens is assumed without it.
+    plane : Plane
+        Its camera makes the check of the proportions sharp; without one a typical lens
+        is assumed.
     blur_px : float
         Blur of the edges.
-    expected_px : (4, 2) array or None
-        Decides the order of the corners.
+    expected : (4, 2) array or None
+        Corners in the plane; decides the order of the corners.
     polarity : int
         1 bright face, -1 dark face, 0 unknown.
 
@@ -65,13 +68,12 @@ def find_face(image: np.ndarray, face_size_m: tuple[float, float], camera: Camer
     Found or Rejected
 
     """
-    height, width = image.shape
-    if camera is None:
-        focal = FIELD_GUESS * max(width, height)
-        camera = Camera(focal, focal, 0.5 * (width - 1), 0.5 * (height - 1), width, height)
+    if plane.camera is None:
+        plane = _typical_plane(image.shape)
     best, reason = None, 'no quadrilateral in the image'
     for candidate in candidates(image):
-        found = examine(image, candidate, face_size_m, camera, blur_px, expected_px, polarity)
+        found = examine(image, plane.from_image(candidate), face_size_m, plane, blur_px,
+                        expected, polarity)
         if isinstance(found, Rejected):
             reason = found.reason
         elif best is None or found.score > best.score:
@@ -143,32 +145,38 @@ def _grown(quad: np.ndarray, by_px: float) -> np.ndarray:
     return quad + by_px * 1.4 * away / np.linalg.norm(away, axis=1, keepdims=True)
 
 
+def _typical_plane(shape: tuple[int, ...]) -> Plane:
+    height, width = shape
+    focal = FIELD_GUESS * max(width, height)
+    return Plane(Camera(focal, focal, 0.5 * (width - 1), 0.5 * (height - 1), width, height))
+
+
 def examine(image: np.ndarray, quad: np.ndarray, face_size_m: tuple[float, float],
-            camera: Camera, blur_px: float, expected_px: np.ndarray | None,
+            plane: Plane, blur_px: float, expected: np.ndarray | None,
             polarity: int) -> Found | Rejected:
     """Fit a candidate and check that it can be the face."""
-    if shape_miss(quad, face_size_m, camera)[0] > 0.12 * _size(quad) + 3.0:
+    if shape_miss(quad, face_size_m, plane)[0] > 0.12 * _size(quad) + 3.0:
         return Rejected('the proportions are not those of the face')
-    wide = fit_snake(image, quad, edge_profile(WIDE_BLUR_PX), 8, 3, 2, sure_px=1.0,
-                     polarity=polarity)
-    if isinstance(wide, Rejected):
-        return wide
-    fit = fit_snake(image, wide.corners, edge_profile(blur_px), 6, 1, 3, polarity=polarity)
-    if isinstance(fit, Rejected):
-        return fit
-    if fit.quality.inlier_share < 0.6 or fit.quality.side_share.min() < 0.3:
+    fit: SnakeFit | Rejected = Rejected('')
+    for look in (WIDE, Look(blur_px, 6)):
+        fit = fit_snake(image, quad, look, plane, None, polarity)
+        if isinstance(fit, Rejected):
+            return fit
+        quad = fit.corners
+    quality = quality_of(fit)
+    if quality.inlier_share < 0.6 or quality.side_share.min() < 0.3:
         return Rejected('the edges do not support the quadrilateral')
-    miss_px, turn = shape_miss(fit.corners, face_size_m, camera, expected_px)
+    miss_px, turn = shape_miss(fit.corners, face_size_m, plane, expected)
     allowed_px = 0.02 * _size(fit.corners) + 0.5
     if miss_px > allowed_px:
         return Rejected('the proportions are not those of the face')
-    score = fit.quality.inlier_share * fit.quality.side_share.min() \
+    score = quality.inlier_share * quality.side_share.min() \
         * (1.0 - 0.5 * miss_px / allowed_px)
     return Found(turned_fit(fit, turn), float(score), miss_px)
 
 
-def shape_miss(quad: np.ndarray, face_size_m: tuple[float, float], camera: Camera,
-               expected_px: np.ndarray | None = None) -> tuple[float, int]:
+def shape_miss(quad: np.ndarray, face_size_m: tuple[float, float], plane: Plane,
+               expected: np.ndarray | None = None) -> tuple[float, int]:
     """
     Measure how far a quadrilateral is from a view of the rectangle.
 
@@ -180,7 +188,7 @@ def shape_miss(quad: np.ndarray, face_size_m: tuple[float, float], camera: Camer
 
     """
     points_m = face_corners(*face_size_m)
-    rays, focal = camera.rays(quad), 0.5 * (camera.fx + camera.fy)
+    rays, focal = plane.rays(quad), 0.5 * (plane.camera.fx + plane.camera.fy)
     missed = []
     for turn in (0, 1):
         pose = pose_of_face(points_m, np.roll(rays, -turn, axis=0))
@@ -189,13 +197,13 @@ def shape_miss(quad: np.ndarray, face_size_m: tuple[float, float], camera: Camer
     turns = [0, 2] if missed[0] <= missed[1] else [1, 3]
     if abs(face_size_m[0] / face_size_m[1] - 1.0) < 0.02:
         turns = [0, 1, 2, 3]
-    return min(missed), min(turns, key=lambda turn: _turn_cost(quad, turn, expected_px))
+    return min(missed), min(turns, key=lambda turn: _turn_cost(quad, turn, expected))
 
 
-def _turn_cost(quad: np.ndarray, turn: int, expected_px: np.ndarray | None) -> float:
+def _turn_cost(quad: np.ndarray, turn: int, expected: np.ndarray | None) -> float:
     corners = np.roll(quad, -turn, axis=0)
-    if expected_px is not None:
-        away = (corners - corners.mean(axis=0)) - (expected_px - expected_px.mean(axis=0))
+    if expected is not None:
+        away = (corners - corners.mean(axis=0)) - (expected - expected.mean(axis=0))
         return float(np.abs(away).sum())
     top = corners[1] - corners[0] + corners[2] - corners[3]
     return abs(float(np.arctan2(top[1], top[0])))
@@ -208,9 +216,8 @@ def turned_fit(fit: SnakeFit, turn: int) -> SnakeFit:
     order = np.roll(np.arange(4), -turn)
     both = (2 * order[:, None] + np.arange(2)).ravel()
     edges = fit.edges._replace(side=(fit.edges.side - turn) % 4)
-    quality = fit.quality._replace(side_share=fit.quality.side_share[order])
     return fit._replace(corners=fit.corners[order], covariance=fit.covariance[np.ix_(both, both)],
-                        edges=edges, quality=quality)
+                        edges=edges)
 
 
 def _size(quad: np.ndarray) -> float:

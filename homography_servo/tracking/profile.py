@@ -32,24 +32,42 @@ class EdgeProfile:
         distance = np.arange(-REACH_PX, REACH_PX + 0.5 / STEPS_PER_PX, 1.0 / STEPS_PER_PX)
         z = distance / self.sigma_px
         self._share = ndtr(z).astype(np.float32)
-        self._slope = (np.exp(-0.5 * z * z) / (self.sigma_px * np.sqrt(2.0 * np.pi)))
-        self._slope = self._slope.astype(np.float32)
-        self._last = len(distance) - 1
+        self._slope = np.exp(-0.5 * z * z).astype(np.float32) \
+            / np.float32(self.sigma_px * np.sqrt(2.0 * np.pi))
 
-    def index(self, distance_px: np.ndarray) -> np.ndarray:
-        """Turn signed distances [px], positive inside, into places of the tables."""
-        place = distance_px * np.float32(STEPS_PER_PX)
-        place += np.float32(REACH_PX * STEPS_PER_PX + 0.5)
-        np.clip(place, 0.0, self._last, out=place)
+    def places(self, first_px: np.ndarray, step_px: np.ndarray, count: int) -> np.ndarray:
+        """
+        Find the places in the tables of equally spaced signed distances.
+
+        Parameters
+        ----------
+        first_px, step_px : (n,) array
+            Distance of the first pixel of each line, positive inside, and its change
+            from pixel to pixel [px].
+        count : int
+            Pixels per line.
+
+        Returns
+        -------
+        (count, n) int32 array
+
+        """
+        place = np.multiply.outer(_counted(count), (step_px * STEPS_PER_PX).astype(np.float32))
+        place += (first_px * STEPS_PER_PX + (REACH_PX * STEPS_PER_PX + 0.5)).astype(np.float32)
         return place.astype(np.int32)
 
-    def share(self, index: np.ndarray) -> np.ndarray:
-        """Look up the inside share."""
-        return self._share.take(index)
+    def share(self, place: np.ndarray) -> np.ndarray:
+        """Look up the share of the pixel inside the edge."""
+        return self._share.take(place, mode='clip')
 
-    def slope(self, index: np.ndarray) -> np.ndarray:
+    def slope(self, place: np.ndarray) -> np.ndarray:
         """Look up its derivative with respect to the distance [1/px]."""
-        return self._slope.take(index)
+        return self._slope.take(place, mode='clip')
+
+
+@lru_cache(maxsize=64)
+def _counted(count: int) -> np.ndarray:
+    return np.arange(count, dtype=np.float32)
 
 
 @lru_cache(maxsize=256)

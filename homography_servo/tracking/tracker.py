@@ -9,10 +9,12 @@ from homography_servo.result import Rejected
 from homography_servo.tracking.finder import find_face
 from homography_servo.tracking.motion import Motion
 from homography_servo.tracking.motion import shape_prior
-from homography_servo.tracking.profile import edge_profile
+from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.snake import fit_snake
+from homography_servo.tracking.snake import Look
 from homography_servo.tracking.snake import Prior
 from homography_servo.tracking.snake import Quality
+from homography_servo.tracking.snake import quality_of
 from homography_servo.tracking.snake import SnakeFit
 from homography_servo.tracking.spline import ClosedSpline
 from homography_servo.tracking.tracker_settings import TrackerSettings
@@ -20,6 +22,7 @@ import numpy as np
 
 SEARCHING, TRACKING, COASTING, LOST = 'SEARCHING', 'TRACKING', 'COASTING', 'LOST'
 POLARITIES = {'any': 0, 'bright': 1, 'dark': -1}
+WIDE = (Look(4.0, 16, 3, 3, 3, 1.0), Look(2.0, 8, 3, 3, 2, 0.5))
 GIVEN_SHAPE_SIGMA_PX = 4.0  # of corners that a person or the arm gives
 
 
@@ -61,11 +64,20 @@ class Tracker:
                              f'got {face_size_m} and {box_height_m}')
         self.face_size_m = tuple(face_size_m)
         self.settings = settings
-        self.camera = camera
+        self._plane = Plane(camera)
         self.box_height_m = box_height_m
         self.home_depth_m = home_depth_m
         self._spline = ClosedSpline()
         self.reset()
+
+    @property
+    def camera(self) -> Camera | None:
+        """Give the lens."""
+        return self._plane.camera
+
+    @camera.setter
+    def camera(self, camera: Camera | None) -> None:
+        self._plane = Plane(camera)
 
     @property
     def state(self) -> str:
@@ -109,6 +121,8 @@ class Tracker:
         image = self._checked(grey)
         if self._size not in (None, image.shape):
             self.reset()
+        if not self._plane.fits(image.shape):
+            self._plane = Plane(None)
         self._size = image.shape
         if self._motion is None:
             return self._search(image, stamp_s, predicted_corners_px)
@@ -128,8 +142,8 @@ class Tracker:
         if given is not None:
             fit = self._fit_near(image, shape_prior(given, GIVEN_SHAPE_SIGMA_PX))
         if not fit and self.settings.find_face:
-            found = find_face(image, self.face_size_m, self.camera, self.settings.edge_blur_px,
-                              predicted_px, POLARITIES[self.settings.polarity])
+            found = find_face(image, self.face_size_m, self._plane, self.settings.edge_blur_px,
+                              self._given(predicted_px), POLARITIES[self.settings.polarity])
             fit = found if isinstance(found, Rejected) else found.fit
         if isinstance(fit, Rejected):
             return Track(self._state, None, None, None, None, fit.reason)
@@ -139,9 +153,9 @@ class Tracker:
 
     def _given(self, predicted_px: np.ndarray | None) -> np.ndarray | None:
         if predicted_px is not None:
-            return np.asarray(predicted_px, float)
+            return self._plane.from_image(np.asarray(predicted_px, float))
         if self.settings.initial_corners_px:
-            return np.reshape(self.settings.initial_corners_px, (4, 2))
+            return self._plane.from_image(np.reshape(self.settings.initial_corners_px, (4, 2)))
         return None
 
     def _follow(self, image: np.ndarray, stamp_s: float,
@@ -151,15 +165,14 @@ class Tracker:
         if not fit:
             fit = self._fit_near(image, prior)
         if not fit and predicted_px is not None:
-            fit = self._fit_near(image, shape_prior(np.asarray(predicted_px, float),
+            fit = self._fit_near(image, shape_prior(self._given(predicted_px),
                                                     GIVEN_SHAPE_SIGMA_PX))
         return fit
 
     def _fit_near(self, image: np.ndarray, prior: Prior) -> SnakeFit | Rejected:
         polarity = POLARITIES[self.settings.polarity]
-        for blur_px, half in ((4.0, 16), (2.0, 8)):
-            wide = fit_snake(image, prior.corners, edge_profile(blur_px), half, 3, 2, prior,
-                             sure_px=1.0, polarity=polarity)
+        for look in WIDE:
+            wide = fit_snake(image, prior.corners, look, self._plane, prior, polarity)
             if isinstance(wide, Rejected):
                 return wide
             prior = Prior(wide.corners, prior.information)
@@ -167,17 +180,17 @@ class Tracker:
 
     def _fit_fine(self, image: np.ndarray, prior: Prior) -> SnakeFit | Rejected:
         settings = self.settings
-        fit = fit_snake(image, prior.corners, edge_profile(settings.edge_blur_px),
-                        settings.edge_half_px, 1, 3, prior,
-                        polarity=POLARITIES[settings.polarity])
+        look = Look(settings.edge_blur_px, settings.edge_half_px)
+        fit = fit_snake(image, prior.corners, look, self._plane, prior,
+                        POLARITIES[settings.polarity])
         if isinstance(fit, Rejected):
             return fit
-        doubt = self._doubt(fit, prior)
+        doubt = self._doubt(fit)
         return fit if doubt is None else doubt
 
-    def _doubt(self, fit: SnakeFit, prior: Prior) -> Rejected | None:
+    def _doubt(self, fit: SnakeFit) -> Rejected | None:
         """Give the reason not to trust a fit, or None."""
-        settings, quality = self.settings, fit.quality
+        settings, quality = self.settings, quality_of(fit)
         sigma_px = float(np.sqrt(np.diag(fit.covariance).max()))
         if abs(quality.contrast) < settings.min_contrast:
             return Rejected(f'the contrast of the edges is {quality.contrast:.0f} grey levels')
@@ -195,10 +208,12 @@ class Tracker:
         self._missed, self._good_s = 0, stamp_s
         if self._confirmed < self.settings.confirming_frames:
             self._state = SEARCHING if self._state == SEARCHING else LOST
-            return Track(self._state, None, None, None, fit.quality, 'found, not yet confirmed')
+            return Track(self._state, None, None, None, quality_of(fit), 'found, not yet confirmed')
         self._state = TRACKING
-        contour = self._spline.curve(self._spline.control(fit.corners))
-        return Track(TRACKING, fit.corners, fit.covariance, contour, fit.quality, '')
+        contour = self._plane.to_image(self._spline.curve(self._spline.control(fit.corners)))
+        covariance = self._plane.covariance_to_image(fit.corners, fit.covariance)
+        return Track(TRACKING, self._plane.to_image(fit.corners), covariance, contour,
+                     quality_of(fit), '')
 
     def _missing(self, why: Rejected, stamp_s: float) -> Track:
         self._missed += 1

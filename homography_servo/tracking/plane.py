@@ -1,0 +1,80 @@
+"""The plane in which straight edges of the object are straight lines."""
+
+from __future__ import annotations
+
+from homography_servo.geometry.camera import Camera
+import numpy as np
+
+
+class Plane:
+    """
+    Pixels as an ideal camera with the same matrix would see them.
+
+    Without a lens that bends, plane and image are the same.
+
+    Parameters
+    ----------
+    camera : Camera or None
+        None stands for an ideal one that nobody has calibrated.
+
+    """
+
+    def __init__(self, camera: Camera | None) -> None:
+        self.camera = camera
+        self.bent = camera is not None and camera.bends
+        self._maps: tuple[np.ndarray, np.ndarray] | None = None
+
+    def fits(self, shape: tuple[int, ...]) -> bool:
+        """Tell whether an image of this shape is one of the camera's."""
+        return self.camera is None or (self.camera.height, self.camera.width) == tuple(shape)
+
+    def from_image(self, points_px: np.ndarray) -> np.ndarray:
+        """Straighten pixels (..., 2)."""
+        if not self.bent:
+            return points_px
+        return self.camera.rays(points_px) * self._focal + self._centre
+
+    def to_image(self, points: np.ndarray) -> np.ndarray:
+        """Bend points (..., 2) of the plane to where the camera shows them."""
+        if not self.bent:
+            return points
+        return self.camera.project_rays(self.rays(points))
+
+    def rays(self, points: np.ndarray) -> np.ndarray:
+        """Turn points (..., 2) of the plane into normalised coordinates."""
+        return (points - self._centre) / self._focal
+
+    def from_rays(self, rays: np.ndarray) -> np.ndarray:
+        """Turn normalised coordinates (..., 2) into points of the plane."""
+        return rays * self._focal + self._centre
+
+    def covariance_to_image(self, corners: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        """Carry the covariance (2m, 2m) of corners of the plane into the image."""
+        if not self.bent:
+            return covariance
+        local = self.camera.jacobian(self.rays(corners)) / self._focal
+        jacobian = np.zeros_like(covariance)
+        for number, block in enumerate(local):
+            part = slice(2 * number, 2 * number + 2)
+            jacobian[part, part] = block
+        return jacobian @ covariance @ jacobian.T
+
+    @property
+    def maps(self) -> tuple[np.ndarray, np.ndarray]:
+        """Give the plane's u and v of every pixel of the image, flat; made on first use."""
+        if self._maps is None:
+            grid = np.stack(np.meshgrid(np.arange(self.camera.width),
+                                        np.arange(self.camera.height)), axis=-1)
+            straight = self.from_image(grid.reshape(-1, 2).astype(float))
+            # No ray reaches some pixels of a bad calibration: far away is harmless.
+            straight = np.where(np.isfinite(straight), straight, 1e6)
+            self._maps = (straight[:, 0].copy(), straight[:, 1].copy())
+        return self._maps
+
+    @property
+    def _focal(self) -> np.ndarray:
+        return np.array([self.camera.fx, self.camera.fy])
+
+    @property
+    def _centre(self) -> np.ndarray:
+        return np.array([self.camera.cx, self.camera.cy])
