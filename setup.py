@@ -5,7 +5,7 @@ from setuptools import setup
 
 NAME = 'homography_servo'
 NODES = ('snake_tracker', 'path_planner', 'visual_servo', 'robix_bridge', 'camera_sim',
-         'video_camera')
+         'video_camera', 'dashboard')
 PROGRAMS = {
     'robix_emulator': 'robot.emulator_main',
     'bringup': 'launch.bringup',
@@ -18,6 +18,7 @@ setup(
     name=NAME,
     version='0.1.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
+    package_data={f'{NAME}.nodes': ['web/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),

@@ -39,6 +39,8 @@ def parser() -> argparse.ArgumentParser:
         epilog='example:\n  bringup --config sim.yaml --set camera_sim.noise_sigma:=5.0')
     about.add_argument('--config', default='sim.yaml', metavar='FILE',
                        help='a path or an installed name: sim.yaml, real.yaml, teabox.yaml')
+    about.add_argument('--dashboard', action='store_true',
+                       help='also start the dashboard, a page in the browser; it says where')
     about.add_argument('--only', nargs='+', metavar='NODE', help='start only these nodes')
     about.add_argument('--set', nargs='+', default=[], action='extend', dest='overrides',
                        metavar='NODE.PARAMETER:=VALUE', help='override single parameters')
@@ -51,15 +53,15 @@ def parser() -> argparse.ArgumentParser:
     return about
 
 
-def checked_config(name: str, only: Sequence[str] | None,
-                   overrides: Sequence[str]) -> Config | list[ConfigError]:
-    """Read a configuration with overrides, or list every mistake."""
+def checked_config(name: str, only: Sequence[str] | None, overrides: Sequence[str],
+                   extra: Sequence[str] = ()) -> Config | list[ConfigError]:
+    """Read a configuration with overrides and extra nodes, or list every mistake."""
     config, errors = read_config(name)
     if errors or config is None:
         return errors
     try:
-        config = override(config, overrides)
-        return config.only(only) if only else config
+        config = override(config.including(extra), overrides)
+        return config.only([*only, *extra]) if only else config
     except ConfigError as error:
         return [error]
 
@@ -95,7 +97,8 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run the launcher."""
     options = parser().parse_args(args)
     die_with_launcher()
-    config = checked_config(options.config, options.only, options.overrides)
+    config = checked_config(options.config, options.only, options.overrides,
+                            ['dashboard'] if options.dashboard else [])
     if isinstance(config, list):
         for error in config:
             print(error, file=sys.stderr)

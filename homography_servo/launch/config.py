@@ -58,6 +58,11 @@ class Config:
                               f'it has {", ".join(self.nodes)}')
         return replace(self, nodes={name: self.nodes[name] for name in wanted})
 
+    def including(self, names: Iterable[str]) -> Config:
+        """Add nodes that the file does not name, with their defaults."""
+        return replace(self, nodes={**self.nodes, **{name: self.nodes.get(name, {})
+                                                     for name in names}})
+
     def values(self, name: str) -> dict[str, Any]:
         """Give the parameters of a node that differ from its defaults or were given."""
         return {key: list(item.value) if isinstance(item.value, tuple) else item.value

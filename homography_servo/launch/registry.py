@@ -6,7 +6,7 @@ import importlib
 import inspect
 
 NODES = ('camera_sim', 'video_camera', 'snake_tracker', 'path_planner', 'visual_servo',
-         'robix_bridge')
+         'robix_bridge', 'dashboard')
 
 
 def node_module(name: str) -> str:

@@ -16,6 +16,7 @@ from launch_ros.actions import Node
 ARGUMENTS = (
     ('config', 'sim.yaml', 'a path or an installed name: sim.yaml, real.yaml, teabox.yaml'),
     ('namespace', '', 'namespace of all nodes'),
+    ('dashboard', 'false', 'also start the dashboard, a page in the browser'),
     ('use_sim_time', 'false', 'use the clock of a simulation'),
     ('log_level', 'info', 'debug, info, warn, error or fatal'),
 )
@@ -27,6 +28,8 @@ def nodes_of(context):
     config, errors = read_config(values['config'])
     if errors:
         raise RuntimeError('\n'.join(str(error) for error in errors))
+    if values['dashboard'].lower() == 'true':
+        config = config.including(['dashboard'])
     sim_time = values['use_sim_time'].lower() == 'true'
     return [Node(package='homography_servo', executable=name, name=name,
                  namespace=values['namespace'], output='screen', emulate_tty=True,

@@ -27,7 +27,7 @@ def quiet_arguments(tmp_path):
     for level in range(10):
         writer.write(np.full((48, 64, 3), 20 * level, np.uint8))
     writer.release()
-    return {'video_camera': {'source': str(video), 'loop': True}}
+    return {'video_camera': {'source': str(video), 'loop': True}, 'dashboard': {'port': 0}}
 
 
 def rules(name):
