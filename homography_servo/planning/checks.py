@@ -48,10 +48,10 @@ def _check(name: str, values: np.ndarray, needed: np.ndarray,
     return Check(name, good, {int(k): say(int(k)) for k in np.flatnonzero(~good)})
 
 
-def check_field(seen: Seen, settings: FeasibilitySettings) -> Check:
+def check_field(seen: Seen, settings: FeasibilitySettings, worst_px: float = 0.0) -> Check:
     """Keep all points inside the image."""
     border = seen.border_px.min(axis=1)
-    needed = required(border, settings.field_margin_px, 0.0)
+    needed = required(border, settings.field_margin_px, worst_px)
 
     def say(k: int) -> str:
         corner = int(np.argmin(seen.border_px[k]))
@@ -63,10 +63,11 @@ def check_field(seen: Seen, settings: FeasibilitySettings) -> Check:
     return _check('field of view', border, needed, say)
 
 
-def check_facing(seen: Seen, settings: FeasibilitySettings) -> Check:
+def check_facing(seen: Seen, settings: FeasibilitySettings,
+                 worst_rad: float = np.pi / 2) -> Check:
     """Keep the face towards the camera."""
     limit = -np.radians(settings.facing_limit_deg)
-    needed = required(-seen.facing_rad, limit, -np.pi / 2)
+    needed = required(-seen.facing_rad, limit, -worst_rad)
 
     def say(k: int) -> str:
         degrees = np.degrees(seen.facing_rad[k])
@@ -158,7 +159,7 @@ def _limits(robot: Robot, joints: np.ndarray, values: PoseValues,
         angle, name = np.degrees(joints[k, index[k]]), robot.joint_names[index[k]]
         low, high = np.degrees(robot.lower_rad[index[k]]), np.degrees(robot.upper_rad[index[k]])
         over = 'beyond' if room[k] < 0.0 else 'from'
-        return (f'joint {name} would be at {angle:.1f} deg, {abs(np.degrees(room[k])):.1f} deg '
+        return (f'{name} would be at {angle:.1f} deg, {abs(np.degrees(room[k])):.1f} deg '
                 f'{over} its limit ({low:.0f} to {high:.0f} deg, margin '
                 f'{np.degrees(needed[k]):.1f} deg)')
     return _check('joint limits', room, needed, say)
@@ -182,7 +183,7 @@ def _steps(robot: Robot, step: np.ndarray, values: PoseValues,
 
     def say(k: int) -> str:
         name = robot.joint_names[int(np.argmax(step[k]))]
-        return (f'joint {name} would jump {np.degrees(largest[k]):.1f} deg to the next pose, '
+        return (f'{name} would jump {np.degrees(largest[k]):.1f} deg to the next pose, '
                 f'{np.degrees(settings.joint_step_rad):.1f} deg are allowed')
     needed = np.full(len(step), -settings.joint_step_rad)
     return _check('joint step', -largest, needed, say)

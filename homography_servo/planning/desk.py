@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from homography_servo.geometry.camera import Camera
 from homography_servo.geometry.pose import PoseEstimate
-from homography_servo.planning.feasibility import check_view
+from homography_servo.planning.feasibility import goal_fault
 from homography_servo.planning.feasibility import look
 from homography_servo.planning.observer import Observer
 from homography_servo.planning.observer import StillView
@@ -175,10 +175,10 @@ class PlanningDesk:
         if depth_m <= 0.0:
             return self._refuse_goal(f'it is behind the camera (depth {depth_m:.3f} m)')
         if self.camera is not None:
-            seen = check_view(goal[None], self.camera, self.object_points_m, self.home_depth_m,
-                              self._settings)
-            if not seen.ok:
-                return self._refuse_goal(seen.reasons[0])
+            fault = goal_fault(goal, self.camera, self.object_points_m, self.home_depth_m,
+                               self._settings)
+            if fault:
+                return self._refuse_goal(fault)
         self.goal = np.array(goal, dtype=float)
         x, y, z = 1000.0 * self.goal[:3, 3]
         return f'goal set to x {x:.1f}, y {y:.1f}, z {z:.1f} mm in home'

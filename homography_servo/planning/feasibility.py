@@ -83,12 +83,15 @@ def check_path(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
     return _conclude(checks, values, joints_rad, note)
 
 
-def check_view(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
-               home_depth_m: float, settings: FeasibilitySettings) -> Verdict:
-    """Judge only what the camera sees of a path; arguments as in `check_path`."""
-    poses = _checked(poses, None, None)
-    checks, values = _view(poses, camera, object_points_m, home_depth_m, settings)
-    return _conclude(checks, values, None, '')
+def goal_fault(goal: np.ndarray, camera: Camera, object_points_m: np.ndarray,
+               home_depth_m: float, settings: FeasibilitySettings) -> str:
+    """Say why the camera could not see the object at a goal (4, 4), empty if it can."""
+    poses = _checked(np.asarray(goal, dtype=float)[None], None, None)
+    seen = look(poses, camera, np.asarray(object_points_m, dtype=float), home_depth_m)
+    limit_rad = float(np.radians(settings.facing_limit_deg))
+    checks = (check_field(seen, settings, settings.field_margin_px),
+              check_facing(seen, settings, limit_rad))
+    return next((check.sentences[0] for check in checks if check.sentences), '')
 
 
 def _view(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray, depth_m: float,
@@ -120,7 +123,7 @@ def _checked(poses: np.ndarray, robot: Robot | None, start: np.ndarray | None) -
 def _arm_note(robot: Robot, values: PoseValues) -> str:
     k = int(np.argmin(values.joint_margin_rad))
     name = robot.joint_names[values.joint_index[k]]
-    return (f', joint {name} comes within {np.degrees(values.joint_margin_rad[k]):.1f} deg of '
+    return (f', {name} comes within {np.degrees(values.joint_margin_rad[k]):.1f} deg of '
             f'its limit at pose {k + 1}, smallest singular value '
             f'{values.conditioning.min():.3f}')
 

@@ -91,7 +91,7 @@ def path_lengths(poses: np.ndarray) -> np.ndarray:
 
 
 def follow(robot: Robot, poses: np.ndarray, start_joints_rad: np.ndarray,
-           tolerance: tuple[float, float] = (1e-5, 1e-4)) -> Followed:
+           tolerance: tuple[float, float] = (1e-6, 1e-5)) -> Followed:
     """
     Follow a path from given joints without ever leaving their branch.
 

@@ -50,6 +50,21 @@ class JointSpace:
         return (room >= self._room - 1e-9) & (field >= self._field - 1e-6) \
             & (facing >= self._facing - 1e-9) & (condition >= self._condition - 1e-9)
 
+    def fault(self, joints_rad: np.ndarray) -> str:
+        """Say why a configuration (n,) may not be passed, empty if it may."""
+        room, field, facing, condition = (float(v[0]) for v in self._values(joints_rad[None]))
+        if condition < 0.0:
+            return 'a singularity of the arm lies between here and there'
+        if condition < self._condition - 1e-9:
+            return (f'it is near a singularity there (smallest singular value {condition:.4f}, '
+                    f'{self._condition:.4f} is needed)')
+        if room < self._room - 1e-9:
+            index = int(np.argmin(np.minimum(joints_rad - self._task.robot.lower_rad,
+                                             self._task.robot.upper_rad - joints_rad)))
+            return (f'{self._task.robot.joint_names[index]} is {np.degrees(room):.1f} deg from '
+                    f'its limit there ({np.degrees(self._room):.1f} deg are needed)')
+        return '' if self.free(joints_rad[None])[0] else 'the object is not in view there'
+
     def open(self, a: np.ndarray, b: np.ndarray) -> bool:
         """Tell whether the straight way from a to b is free."""
         return bool(self.free(self.line(a, b)).all())

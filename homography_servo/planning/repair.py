@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Callable, Iterator
 
 from homography_servo.geometry.path import FAMILIES
-from homography_servo.planning.feasibility import check_view
+from homography_servo.planning.feasibility import goal_fault
 from homography_servo.planning.joint_space import JointSpace
 from homography_servo.planning.joint_space import search
 from homography_servo.planning.joint_space import shortened
@@ -28,25 +28,22 @@ _SAMPLES = 400
 
 
 def hopeless(task: Task) -> str:
-    """
-    Say why no path whatever can help, empty if one might.
-
-    The start must be good itself, since a bad one loosens the limits.
-    """
-    settings = task.settings
-    ends = [check_view(pose[None], task.camera, task.object_points_m, task.home_depth_m, settings)
-            for pose in (task.start, task.goal)]
-    if ends[0].ok and not ends[1].ok and ends[0].values.field_px[0] >= settings.field_margin_px:
-        return f'at the goal {ends[1].reasons[0]}'
+    """Say why no path whatever can help, empty if one might."""
+    fault = goal_fault(task.goal, task.camera, task.object_points_m, task.home_depth_m,
+                       task.settings)
+    if fault:
+        return f'at the goal {fault}'
     if task.robot is None:
         return ''
     if len(task.goal_branches) == 0:
         return 'no joints inside the limits put the object at the goal'
     space = JointSpace(task)
-    if space.free(task.goal_branches).any():
+    faults = [space.fault(joints_rad) for joints_rad in task.goal_branches]
+    if not all(faults):
         return ''
-    return (f'all {len(task.goal_branches)} ways to hold the object at the goal are too near a '
-            'joint limit or singularity, or lie beyond a singularity')
+    ways = len(faults)
+    return (f'the arm can hold the object at the goal in {ways} way{"s" * (ways > 1)}, but '
+            + ' and '.join(dict.fromkeys(faults)))
 
 
 def other_turn(task: Task) -> Iterator[Proposal]:

@@ -36,9 +36,9 @@ class FeasibilitySettings(Settings):
         1.0, 0.0, 1.0, '', 'largest predicted mirror ambiguity; 1 reports it without a veto, '
         'since the joints or the previous pose decide')
     reach_tolerance_m: float = real(
-        1e-5, 1e-9, 0.01, 'm', 'a pose is reached when the arm comes this near')
+        1e-6, 1e-9, 0.01, 'm', 'a pose is reached when the arm comes this near')
     reach_tolerance_rad: float = real(
-        1e-4, 1e-9, 0.1, 'rad', 'a pose is reached when the arm turns this near')
+        1e-5, 1e-9, 0.1, 'rad', 'a pose is reached when the arm turns this near')
     disagreement_max_m: float = real(
         0.1, 0.001, 10.0, 'm', 'largest distance between the pose seen at the start and the '
         'pose by the joints; more means a wrong model or a wrong object')
@@ -58,10 +58,10 @@ class PlannerSettings(FeasibilitySettings):
     poses: int = whole(
         31, 0, 2000, '', 'number of poses of a path, both ends counted; 0 chooses it from '
         'the largest steps')
-    step_max_m: float = real(0.02, 0.0001, 1.0, 'm', 'largest step when poses is 0')
-    step_max_rad: float = real(0.1, 0.001, 1.0, 'rad', 'largest turn when poses is 0')
+    step_max_m: float = real(0.05, 0.0001, 1.0, 'm', 'largest step when poses is 0')
+    step_max_rad: float = real(0.15, 0.001, 1.0, 'rad', 'largest turn when poses is 0')
     step_max_px: float = real(
-        12.0, 0.1, 500.0, 'px', 'largest motion of a corner between poses when poses is 0')
+        20.0, 0.1, 500.0, 'px', 'largest motion of a corner between poses when poses is 0')
     repair: bool = flag(True, 'try to repair a path that is vetoed')
     via_tries: int = whole(24, 0, 1000, '', 'via-poses that are tried')
     search_nodes: int = whole(

@@ -1,37 +1,34 @@
 """The planner node as users meet it: poses, goals, plans, and a sentence for every refusal."""
 
+from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PolygonStamped
+from geometry_msgs.msg import PoseArray
+from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from homography_servo.geometry.camera import Camera
+from homography_servo.geometry.face import face_corners
+from homography_servo.nodes.conversions import camera_info_msg
+from homography_servo.nodes.conversions import joint_state_msg
+from homography_servo.nodes.conversions import polygon_msg
+from homography_servo.nodes.conversions import pose_stamped_msg
+from homography_servo.nodes.conversions import transform_from_pose
+from homography_servo.nodes.conversions import transforms_from_poses
+from homography_servo.nodes.kit import LATCHED
+from homography_servo.places import find_config
+from homography_servo.planning.feasibility import look
+from homography_servo.robot.kinematics import object_pose
+from homography_servo.robot.robot_file import load_robot
 import numpy as np
 import pytest
-
-pytest.importorskip('rclpy', reason='needs ROS 2')
-
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402 (after the check for ROS)
-from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
-from geometry_msgs.msg import PolygonStamped  # noqa: E402
-from geometry_msgs.msg import PoseArray  # noqa: E402
-from geometry_msgs.msg import PoseStamped  # noqa: E402
-from geometry_msgs.msg import PoseWithCovarianceStamped  # noqa: E402
-from homography_servo.geometry.camera import Camera  # noqa: E402
-from homography_servo.geometry.face import face_corners  # noqa: E402
-from homography_servo.nodes.conversions import camera_info_msg  # noqa: E402
-from homography_servo.nodes.conversions import joint_state_msg  # noqa: E402
-from homography_servo.nodes.conversions import polygon_msg  # noqa: E402
-from homography_servo.nodes.conversions import pose_stamped_msg  # noqa: E402
-from homography_servo.nodes.conversions import transform_from_pose  # noqa: E402
-from homography_servo.nodes.conversions import transforms_from_poses  # noqa: E402
-from homography_servo.nodes.kit import LATCHED  # noqa: E402
-from homography_servo.places import find_config  # noqa: E402
-from homography_servo.planning.feasibility import look  # noqa: E402
-from homography_servo.robot.kinematics import object_pose  # noqa: E402
-from homography_servo.robot.robot_file import load_robot  # noqa: E402
-from sensor_msgs.msg import CameraInfo  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-from std_msgs.msg import Float64MultiArray  # noqa: E402
-from std_msgs.msg import Header  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
-from trajectory_msgs.msg import JointTrajectory  # noqa: E402
-from visualization_msgs.msg import ImageMarker  # noqa: E402
-from visualization_msgs.msg import MarkerArray  # noqa: E402
+from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import ImageMarker
+from visualization_msgs.msg import MarkerArray
 
 CAMERA = Camera(800.0, 800.0, 319.5, 239.5, 640, 480)
 START_RAD = np.radians([-50.0, 40.0, 10.0, -10.0, 0.0, -20.0])
@@ -123,7 +120,8 @@ def test_the_trial_is_taught_and_planned_without_a_repair(scene, robot):
     assert verdict.status[0].level == DiagnosticStatus.OK
     assert verdict.status[0].message == sentence
     image = scene.last('path/image')
-    assert [(d.label, d.size) for d in image.layout.dim] == [('pose', 31), ('corner', 4), ('uv', 2)]
+    sizes = [(d.label, d.size) for d in image.layout.dim]
+    assert sizes == [('pose', 31), ('corner', 4), ('uv', 2)]
     drawn = np.array(image.data).reshape(31, 4, 2)
     assert np.abs(drawn - look(poses, CAMERA, scene.points_m, 1.0).points_px).max() < 1e-6
     joints = scene.last('path/joint_trajectory')
@@ -247,7 +245,7 @@ def test_without_a_robot_file_the_object_flies_freely(probe, start_node, robot):
     assert success, sentence
     poses = transforms_from_poses(scene.last('path/poses'))
     steps_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-    assert steps_m.max() < 0.0201
+    assert steps_m.max() < 0.0501
     assert not scene.last('path/joint_trajectory').points
 
 
