@@ -24,6 +24,7 @@ from homography_servo.geometry.pose_start import Shape
 from homography_servo.geometry.pose_start import shape_of
 from homography_servo.geometry.pose_views import views_of
 from homography_servo.geometry.rigid import pose_difference
+from homography_servo.geometry.rigid import transform
 from homography_servo.result import Rejected
 import numpy as np
 from scipy.linalg import lapack
@@ -110,8 +111,8 @@ def estimate_pose(object_points_m: np.ndarray, image_points_px: np.ndarray, came
     starts = _starts(shape, views)
     if isinstance(starts, Rejected):
         return starts
-    fit = refine(views.take(_TWICE), *starts)
-    candidates = _candidates(fit, views, px_per_ray[0], home_depth_m)
+    fit = refine(views, *starts)
+    candidates = _candidates(fit, views, px_per_ray, home_depth_m)
     if not candidates:
         return Rejected('no pose before the camera explains the points')
     return _chosen(candidates, prior)
@@ -187,12 +188,30 @@ def solid_starts(shape: Shape, points_m: np.ndarray, rays: np.ndarray
 def _candidates(fit: Fit, views: Views, px_per_ray: np.ndarray, home_depth_m: float
                 ) -> list[PoseCandidate]:
     """Collect the different minima, the smaller error first."""
-    order = [0, 1] if fit.chi2[0] <= fit.chi2[1] else [1, 0]
-    order = [i for i in order if math.isfinite(fit.chi2[i])]
-    if len(order) == 2 and same_minimum(fit, 0, 1):
+    chi2 = fit.chi2.tolist()
+    order = [0, 1] if chi2[0] <= chi2[1] else [1, 0]
+    order = [i for i in order if math.isfinite(chi2[i])]
+    if len(order) == 2 and same_minimum(fit, *order):
         order.pop()
-    found = (_candidate(fit, i, views, px_per_ray, home_depth_m) for i in order)
-    return [candidate for candidate in found if candidate is not None]
+    residuals_px = _residuals_px(fit, views, px_per_ray)
+    poses = transform(fit.rotation, fit.translation_m - (0.0, 0.0, home_depth_m))
+    found = []
+    for i in order:
+        covariance, open_direction = lapack.dpotri(lapack.dpotrf(fit.normal[i])[0])
+        if open_direction == 0 and math.isfinite(covariance.sum() + residuals_px[i]):
+            full = np.where(_UPPER, covariance, covariance.T)
+            found.append(PoseCandidate(poses[i], full, chi2[i], residuals_px[i]))
+    return found
+
+
+def _residuals_px(fit: Fit, views: Views, px_per_ray: np.ndarray) -> list[float]:
+    camera_m = fit.rotation @ views.points_m + fit.translation_m[:, :, None]
+    error = camera_m[:, :2] / camera_m[:, 2:] - views.rays
+    if px_per_ray.ndim == 2:
+        error_px = px_per_ray * error
+    else:
+        error_px = (px_per_ray[0] * error[:, None]).sum(axis=2)
+    return np.sqrt((error_px * error_px).sum(axis=(1, 2)) / error.shape[2]).tolist()
 
 
 def same_minimum(fit: Fit, i: int, j: int) -> bool:
@@ -203,22 +222,6 @@ def same_minimum(fit: Fit, i: int, j: int) -> bool:
                            0.5 * (turn[1, 0] - turn[0, 1])])
     return bool(turn[0, 0] + turn[1, 1] + turn[2, 2] > 1.0
                 and difference @ fit.normal[i] @ difference < SAME_MINIMUM)
-
-
-def _candidate(fit: Fit, i: int, views: Views, px_per_ray: np.ndarray, home_depth_m: float
-               ) -> PoseCandidate | None:
-    covariance, open_direction = lapack.dpotri(lapack.dpotrf(fit.normal[i])[0])
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = fit.rotation[i], fit.translation_m[i]
-    camera_m = fit.rotation[i] @ views.points_m + fit.translation_m[i][:, None]
-    error = camera_m[:2] / camera_m[2] - views.rays[0]
-    error_px = px_per_ray[:, 0] * error[0] + px_per_ray[:, 1] * error[1]
-    residual_px = math.sqrt((error_px * error_px).sum() / error.shape[1])
-    pose[2, 3] -= home_depth_m
-    covariance = np.triu(covariance) + np.triu(covariance, 1).T
-    if open_direction or not np.isfinite(covariance).all() or not math.isfinite(residual_px):
-        return None
-    return PoseCandidate(pose, covariance, float(fit.chi2[i]), residual_px)
 
 
 def _chosen(candidates: list[PoseCandidate], prior: Prior | None) -> PoseEstimate | Rejected:
@@ -243,4 +246,4 @@ def _distance2(candidate: PoseCandidate, prior: Prior) -> float:
     return float(whitened @ whitened)
 
 
-_TWICE = np.zeros(2, int)
+_UPPER = np.triu(np.ones((6, 6), bool))

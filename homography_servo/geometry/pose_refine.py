@@ -14,11 +14,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from homography_servo.geometry.pose_curvature import curvature
 import numpy as np
 from scipy.linalg import lapack
 
-_MAX_STEPS = 60
+_MAX_STEPS = 40
 _RIDGE = 1e-12  # keeps the normal matrix invertible where the data leave it open
+_PATIENCE = 4  # steps of Gauss-Newton before its curvature is completed
 _FEW = 4  # up to here single LAPACK calls beat numpy's stacked solver
 
 
@@ -26,19 +28,21 @@ class Views(NamedTuple):
     """
     What is to be explained: one object, and its measured points in M views.
 
-    `whitener` turns ray errors into errors of unit variance: (1 or M, 2, 2, N) with
-    rows, columns, points. `mixer` (2N, 2N) or None acts after it, where the errors of
-    different points are correlated; it is ordered u_0 .. u_N, v_0 .. v_N.
+    `whitener` turns ray errors into errors of unit variance: (2, 1) where it is the
+    same scale for all points, or (1 or M, 2, 2, N) with rows, columns, points. `mixer`
+    (2N, 2N) or None acts after it, where the errors of different points are correlated;
+    it is ordered u_0 .. u_N, v_0 .. v_N.
     """
 
     points_m: np.ndarray  # (3, N)
-    rays: np.ndarray  # (M, 2, N)
+    rays: np.ndarray  # (M, 2, N); one view serves any number of poses
     whitener: np.ndarray
     mixer: np.ndarray | None
 
     def take(self, index: np.ndarray) -> Views:
         """Select or repeat views."""
-        whitener = self.whitener if len(self.whitener) == 1 else self.whitener[index]
+        shared = self.whitener.ndim == 2 or len(self.whitener) == 1
+        whitener = self.whitener if shared else self.whitener[index]
         return self._replace(rays=self.rays[index], whitener=whitener)
 
 
@@ -50,6 +54,7 @@ class Fit(NamedTuple):
     chi2: np.ndarray  # (B,)
     normal: np.ndarray  # (B, 6, 6) inverse of the covariance
     gradient: np.ndarray  # (B, 6)
+    residual: np.ndarray  # (B, 2N) whitened
 
     def take(self, index: np.ndarray) -> Fit:
         """Select poses."""
@@ -63,7 +68,7 @@ def refine(views: Views, rotation: np.ndarray, translation_m: np.ndarray) -> Fit
     Parameters
     ----------
     views : Views
-        As many views as starts.
+        One view, or as many as starts.
     rotation, translation_m : (B, 3, 3) and (B, 3) array
         Starts: the object in the camera.
 
@@ -82,65 +87,73 @@ def refine(views: Views, rotation: np.ndarray, translation_m: np.ndarray) -> Fit
 
 def linearise(views: Views, rotation: np.ndarray, translation_m: np.ndarray) -> Fit:
     """Evaluate chi squared, its gradient and the Gauss-Newton matrix at poses."""
-    jacobian, residual = residuals(views, rotation, translation_m)
-    gradient = (jacobian @ residual[..., None])[..., 0]
-    chi2 = (residual * residual).sum(axis=-1)
-    return Fit(rotation, translation_m, chi2, jacobian @ jacobian.swapaxes(-1, -2), gradient)
+    rows = residuals(views, rotation, translation_m)
+    products = rows @ rows.swapaxes(-1, -2)
+    return Fit(rotation, translation_m, products[:, 6, 6], products[:, :6, :6],
+               products[:, :6, 6], rows[:, 6])
 
 
-def residuals(views: Views, rotation: np.ndarray, translation_m: np.ndarray
-              ) -> tuple[np.ndarray, np.ndarray]:
+def residuals(views: Views, rotation: np.ndarray, translation_m: np.ndarray) -> np.ndarray:
     """
     Give the whitened errors of reprojection and their derivatives.
 
     Parameters
     ----------
     views : Views
-        B views.
+        One view, or B.
     rotation, translation_m : (B, 3, 3) and (B, 3) array
         The object in the camera.
 
     Returns
     -------
-    jacobian : (B, 6, 2N) array
-        Derivatives by translation and rotation vector along the camera's axes.
-    residual : (B, 2N) array
-        ``inf`` where a point is not before the camera.
+    (B, 7, 2N) array
+        Rows 0 to 5: derivatives by translation and rotation vector along the camera's
+        axes, the interaction matrix of visual servoing. Row 6: the errors, not finite
+        where a point is not before the camera.
 
     """
-    turned = rotation @ views.points_m
-    camera_m = turned + translation_m[..., None]
-    depth = camera_m[:, 2:]
-    inverse = 1.0 / np.where(depth > 0.0, depth, 0.0)
+    camera_m = rotation @ views.points_m + translation_m[:, :, None]
+    inverse = 1.0 / np.maximum(camera_m[:, 2:], 0.0)
     image = camera_m[:, :2] * inverse
-    error = image - views.rays
-    by_u, by_v = views.whitener[:, :, 0], views.whitener[:, :, 1]
-    jacobian = np.empty((len(turned), 6, 2, turned.shape[-1]))
-    # The image moves by (dX - u dZ, dY - v dZ) / Z; a rotation w moves the point by w x turned.
-    x, y, z = (jacobian[:, axis] for axis in range(3))
-    np.multiply(by_u, inverse, out=x)
-    np.multiply(by_v, inverse, out=y)
-    np.subtract(-x * image[:, :1], y * image[:, 1:], out=z)
-    a, b, c = (turned[:, axis:axis + 1] for axis in range(3))
-    np.subtract(b * z, c * y, out=jacobian[:, 3])
-    np.subtract(c * x, a * z, out=jacobian[:, 4])
-    np.subtract(a * y, b * x, out=jacobian[:, 5])
-    residual = (by_u * error[:, :1] + by_v * error[:, 1:]).reshape(len(turned), -1)
-    jacobian = jacobian.reshape(len(turned), 6, -1)
+    square = image * image + 1.0
+    rows = np.zeros((len(camera_m), 7, 2, camera_m.shape[2]))
+    rows[:, 0, 0] = rows[:, 1, 1] = inverse[:, 0]
+    np.multiply(image, -inverse, out=rows[:, 2])
+    u, v = image[:, 0], image[:, 1]
+    np.multiply(u, v, out=rows[:, 4, 1])
+    np.negative(rows[:, 4, 1], out=rows[:, 3, 0])
+    np.negative(square[:, 1], out=rows[:, 3, 1])
+    rows[:, 4, 0] = square[:, 0]
+    np.negative(v, out=rows[:, 5, 0])
+    rows[:, 5, 1] = u
+    np.subtract(image, views.rays, out=rows[:, 6])
+    rows = _whitened(views, rows).reshape(len(camera_m), 7, -1)
+    # So far it turns about the camera; let it turn about the object's origin.
+    rows[:, 3:6] -= (translation_m @ _CROSS).reshape(-1, 3, 3) @ rows[:, :3]
+    return rows
+
+
+def _whitened(views: Views, rows: np.ndarray) -> np.ndarray:
+    if views.whitener.ndim == 2:
+        rows = rows * views.whitener
+    else:
+        by_u, by_v = views.whitener[:, None, :, 0], views.whitener[:, None, :, 1]
+        rows = by_u * rows[:, :, :1] + by_v * rows[:, :, 1:]
     if views.mixer is None:
-        return jacobian, residual
-    return jacobian @ views.mixer.T, residual @ views.mixer.T
+        return rows
+    return rows.reshape(len(rows), 7, -1) @ views.mixer.T
 
 
 def _descend(views: Views, state: Fit) -> Fit:
-    damping = np.zeros(len(state.chi2))
-    for _ in range(_MAX_STEPS):
-        step, gain = _step(state, damping)
-        trial_pose = moved(state.rotation, state.translation_m, step)
+    """Descend with a few poses together until all have settled."""
+    damping = None
+    for count in range(_MAX_STEPS):
+        step, gain = (_step if count < _PATIENCE else _newton_step)(views, state, damping)
         settled = _settled(gain, state.chi2)
+        rotation, translation_m = moved(state.rotation, state.translation_m, step)
         if settled.all():
-            return state._replace(rotation=trial_pose[0], translation_m=trial_pose[1])
-        trial = linearise(views, *trial_pose)
+            return state._replace(rotation=rotation, translation_m=translation_m)
+        trial = linearise(views, rotation, translation_m)
         state, damping = _accept(state, trial, damping, settled)
     return state
 
@@ -148,9 +161,9 @@ def _descend(views: Views, state: Fit) -> Fit:
 def _descend_many(views: Views, state: Fit) -> Fit:
     """Do as `_descend`, and go on only with the poses that have not settled."""
     result = Fit(*(value.copy() for value in state))
-    open_index, damping = np.arange(len(state.chi2)), np.zeros(len(state.chi2))
-    for _ in range(_MAX_STEPS):
-        step, gain = _step(state, damping)
+    open_index, damping = np.arange(len(state.chi2)), np.full(len(state.chi2), _RIDGE)
+    for count in range(_MAX_STEPS):
+        step, gain = (_step if count < _PATIENCE else _newton_step)(views, state, damping)
         rotation, translation_m = moved(state.rotation, state.translation_m, step)
         settled = _settled(gain, state.chi2)
         _store(result, open_index[settled], state._replace(
@@ -171,31 +184,47 @@ def _store(result: Fit, index: np.ndarray, part: Fit) -> None:
 
 
 def _settled(gain: np.ndarray, chi2: np.ndarray) -> np.ndarray:
-    """Tell where a step would change chi squared by nothing that matters."""
-    return ~(gain > 1e-9 + 1e-7 * chi2) | ~np.isfinite(chi2)
+    """Tell where a step would change chi squared by nothing that matters, or is not finite."""
+    return ~(gain > 1e-9 + 1e-5 * chi2)
 
 
-def _step(state: Fit, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _step(views: Views, state: Fit, damping: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Solve the damped normal equations; also give the decrease they predict."""
-    normal = state.normal.copy()
-    diagonal = np.einsum('bii->bi', normal)
-    diagonal *= 1.0 + _RIDGE + damping[:, None]
+    normal = state.normal
+    if damping is not None:
+        normal = normal + normal * (_DIAGONAL * damping[:, None, None])
     if len(normal) <= _FEW:
         step = np.array([lapack.dposv(m, g)[1] for m, g in zip(normal, state.gradient)])
     else:
         step = np.linalg.solve(normal, state.gradient[..., None])[..., 0]
-    return -step, (step * state.gradient).sum(axis=-1)
+    return -step, (step * state.gradient).sum(axis=1)
 
 
-def _accept(state: Fit, trial: Fit, damping: np.ndarray, settled: np.ndarray
-            ) -> tuple[Fit, np.ndarray]:
+def _newton_step(views: Views, state: Fit, damping: np.ndarray | None
+                 ) -> tuple[np.ndarray, np.ndarray]:
+    """Do as `_step` with the whole curvature; where that leads uphill, without."""
+    extra = curvature(views, state.rotation, state.translation_m, state.residual)
+    normal = state.normal + extra + _DIAGONAL * (state.normal * _RIDGE if damping is None else
+                                                 state.normal * damping[:, None, None])
+    step = np.linalg.solve(normal, state.gradient[..., None])[..., 0]
+    gain = (step * state.gradient).sum(axis=1)
+    if (gain > 0.0).all():
+        return -step, gain
+    safe_step, safe_gain = _step(views, state, damping)
+    uphill = ~(gain > 0.0)
+    return np.where(uphill[:, None], safe_step, -step), np.where(uphill, safe_gain, gain)
+
+
+def _accept(state: Fit, trial: Fit, damping: np.ndarray | None, settled: np.ndarray
+            ) -> tuple[Fit, np.ndarray | None]:
     """Keep what became better; damp the rest more."""
     better = (trial.chi2 <= state.chi2) | settled
     if better.all():
-        return trial, damping * 0.1
+        return trial, damping if damping is None else damping * 0.1
     kept = Fit(*(np.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
                  for new, old in zip(trial, state)))
-    return kept, np.where(better, damping * 0.1, np.maximum(damping * 10.0, 1e-3))
+    before = np.zeros(len(better)) if damping is None else damping
+    return kept, np.where(better, before * 0.1, np.maximum(before * 10.0, 1e-3)) + _RIDGE
 
 
 def moved(rotation: np.ndarray, translation_m: np.ndarray, step: np.ndarray
@@ -208,12 +237,13 @@ def moved(rotation: np.ndarray, translation_m: np.ndarray, step: np.ndarray
     """
     half = 0.5 * step[:, 3:]
     cross = (half @ _CROSS).reshape(-1, 3, 3)
-    gain = 2.0 / (1.0 + (half * half).sum(axis=-1))
+    gain = 2.0 / (1.0 + (half * half).sum(axis=1))
     turn = _EYE + gain[:, None, None] * (cross + cross @ cross)
     return turn @ rotation, translation_m + step[:, :3]
 
 
 _EYE = np.eye(3)
+_DIAGONAL = np.eye(6)
 _CROSS = np.zeros((3, 9))  # v @ _CROSS is the cross product matrix of v, by rows
 _CROSS[0, 7], _CROSS[0, 5], _CROSS[1, 2], _CROSS[1, 6], _CROSS[2, 3], _CROSS[2, 1] = (
     1.0, -1.0, 1.0, -1.0, 1.0, -1.0)

@@ -32,33 +32,35 @@ def views_of(points_m: np.ndarray, image_px: np.ndarray, camera: Camera,
     -------
     views : Views
         The measurements.
-    px_per_ray : (1 or M, 2, 2, N) array
-        Derivative of pixels by rays.
+    px_per_ray : (2, 1) or (M, 2, 2, N) array
+        Derivative of pixels by rays; the focal lengths where the lens does not bend.
 
     """
     rays = camera.rays(image_px)
     if camera.bends:
         slope = np.moveaxis(camera.jacobian(rays), 1, -1)
     else:
-        slope = np.zeros((1, 2, 2, len(points_m)))
-        slope[:, 0, 0], slope[:, 1, 1] = camera.fx, camera.fy
+        slope = np.array([[camera.fx], [camera.fy]])
     noise = _noise(covariance_px2, len(points_m))
     if isinstance(noise, Rejected):
         return noise
     blocks, mixer = noise
-    if blocks.ndim == 0:
+    if blocks is None:
+        whitener = slope
+    elif blocks.ndim == 0:
         whitener = slope * blocks
+    elif slope.ndim == 2:
+        whitener = (blocks * slope[:, 0]).transpose(1, 2, 0)[None]
     else:
         whitener = np.einsum('kij,mjlk->milk', blocks, slope)
-    return Views(np.ascontiguousarray(points_m.T), rays.swapaxes(-1, -2).copy(),
-                 whitener, mixer), slope
+    return Views(points_m.T, rays.swapaxes(-1, -2), whitener, mixer), slope
 
 
 def _noise(covariance_px2: float | np.ndarray | None, count: int
-           ) -> tuple[np.ndarray, np.ndarray | None] | Rejected:
-    """Give inverse Cholesky factors: one number or (N, 2, 2), and (2N, 2N) or None."""
+           ) -> tuple[np.ndarray | None, np.ndarray | None] | Rejected:
+    """Give inverse Cholesky factors: a number, (N, 2, 2) or None, and (2N, 2N) or None."""
     if covariance_px2 is None:
-        return np.array(1.0), None
+        return None, None
     covariance = np.asarray(covariance_px2, float)
     if not np.isfinite(covariance).all():
         return Rejected('the covariance of the points is not finite')
@@ -70,7 +72,7 @@ def _noise(covariance_px2: float | np.ndarray | None, count: int
         if covariance.shape == (2 * count, 2 * count):
             order = np.arange(2 * count).reshape(count, 2).T.ravel()
             factor = np.linalg.cholesky(covariance[np.ix_(order, order)])
-            return np.array(1.0), np.linalg.inv(factor)
+            return None, np.linalg.inv(factor)
     except np.linalg.LinAlgError:
         return _NOT_POSITIVE
     raise ValueError(f'covariance_px2 must be a number or have shape ({count}, 2, 2) or '
