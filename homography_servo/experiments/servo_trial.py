@@ -126,12 +126,12 @@ def prepare(client: TrialClient, options: argparse.Namespace) -> str:
     print('driving to the goal joints and teaching the goal ...', flush=True)
     client.drive(np.radians(options.goal_deg))
     wait_for_sight(client)
-    print(client.trigger('path_planner/teach_goal'), flush=True)
+    print(client.trigger_patiently('path_planner/teach_goal'), flush=True)
     client.event(TAUGHT)
     print('driving to the start joints and planning ...', flush=True)
     client.drive(np.radians(options.start_deg))
     wait_for_sight(client)
-    return client.trigger('path_planner/plan')
+    return client.trigger_patiently('path_planner/plan')
 
 
 def wait_for_sight(client: TrialClient) -> None:

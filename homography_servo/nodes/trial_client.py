@@ -46,7 +46,7 @@ from trajectory_msgs.msg import JointTrajectory
 IMAGES = images_qos(False)
 TOPICS = (
     ('image', Image, IMAGES),
-    ('camera_info', CameraInfo, DEFAULT),
+    ('camera_info', CameraInfo, IMAGES),
     ('object/corners', PolygonStamped, DEFAULT),
     ('object/contour', PolygonStamped, DEFAULT),
     ('object/true_pose', PoseStamped, DEFAULT),
@@ -139,6 +139,17 @@ class TrialClient:
         if not answer.success:
             raise TrialError(f'{name} refused: {answer.message}')
         return answer.message
+
+    def trigger_patiently(self, name: str, timeout_s: float = 10.0) -> str:
+        """Call a Trigger service until it agrees; the last refusal ends the trial."""
+        until_s = time.monotonic() + timeout_s
+        while True:
+            try:
+                return self.trigger(name)
+            except TrialError:
+                if time.monotonic() > until_s or self._alive():
+                    raise
+            self.fresh('object/corners', timeout_s, 'the tracker sends no corners')
 
     def switch(self, name: str, on: bool) -> str:
         """Call a SetBool service; a refusal ends the trial with its sentence."""

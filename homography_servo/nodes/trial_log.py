@@ -180,10 +180,10 @@ class TrialLog:
         return camera.project(home + (0.0, 0.0, depth_m)) if np.isfinite(home).all() else None
 
     def _finish(self, text: str, time_s: float) -> None:
-        self.running = False
+        was_running, self.running = self.running, False
         word, _, sentence = text.partition(': ')
         self.data.converged, self.data.verdict = word == 'converged', sentence or text
-        self.data.duration_s = time_s - self._start_s
+        self.data.duration_s = time_s - self._start_s if was_running else 0.0
         self.data.looks = sum(pose.iterations for pose in self.data.poses)
         if self.data.converged and self.data.poses:
             self.data.poses[-1].reached = True
