@@ -32,6 +32,7 @@ from homography_servo.robot.session import Answer
 from homography_servo.robot.session import BITS_PER_BYTE
 from homography_servo.robot.session import LONGEST_REPLY
 from homography_servo.robot.session import Over
+from homography_servo.robot.streaming import TargetStream
 from homography_servo.robot.trajectory import accept
 from homography_servo.robot.trajectory import go_to
 from homography_servo.robot.trajectory import State
@@ -75,10 +76,7 @@ class DriverSettings(Settings):
 class _Motion:
     """What the arm is doing: following a curve by a stream of targets, or one move."""
 
-    def __init__(self, trajectory: Trajectory, start_s: float, target: np.ndarray,
-                 seq: int = 0) -> None:
-        self.trajectory = trajectory
-        self.start_s = start_s
+    def __init__(self, target: np.ndarray, seq: int = 0) -> None:
         self.target = target  # last one, in servo units
         self.seq = seq  # of the line whose DONE ends it; 0 while a stream still goes on
         self.streamed = seq == 0
@@ -119,6 +117,8 @@ class ArmDriver:
         self._lock = threading.RLock()
         self._estimate = ArmEstimate()
         self._governor = self._new_governor()
+        self._targets = TargetStream(robot, np.zeros(robot.count), 0.0,
+                                     settings.joint_margin_rad)
         self._wire: ServoWire | None = None
         self._ready = False
         self._was_ready = False
@@ -229,8 +229,6 @@ class ArmDriver:
                 self._paused_s = now_s
             elif not on and self._paused_s is not None:
                 self.link.request('!resume')
-                if self._motion:
-                    self._motion.start_s += now_s - self._paused_s
                 self._paused_s = None
             self._hold = 'paused' if on else ''
             self._in_a_row = 0
@@ -363,10 +361,8 @@ class ArmDriver:
 
     def _commanded(self, now_s: float) -> State:
         """Give what the arm is told now: the start of whatever comes next."""
-        motion = self._motion
-        if motion and motion.streamed:
-            sample = motion.trajectory.sample(now_s - motion.start_s)
-            return State(sample.positions, sample.velocities)
+        if self._motion and self._motion.streamed:
+            return self._targets.state
         state = self._estimate.at(now_s)
         return State(np.clip(state.positions, self.limits.lower_rad, self.limits.upper_rad),
                      state.velocities)
@@ -411,7 +407,7 @@ class ArmDriver:
         seq = 0
         for line in self._wire.move(units):
             seq = self.link.request(line, motion=True)
-        self._motion = _Motion(trajectory, now_s, units, seq)
+        self._motion = _Motion(units, seq)
         self._governor.forget()
 
     def _follow(self, trajectory: Trajectory, units: np.ndarray, now_s: float) -> None:
@@ -420,9 +416,11 @@ class ArmDriver:
                                         self.settings.joint_margin_rad)
             self._governor.start(standing, now_s - self._period_s)
         if self._motion is None or not self._motion.streamed:
+            self._targets.restart(self._governor.last, now_s)
             self._set_pace(self._wire.full_pace)
+        self._targets.follow(trajectory, now_s)
         self._verify = None
-        self._motion = _Motion(trajectory, now_s, units)
+        self._motion = _Motion(units)
         self._next_target_s = min(self._next_target_s, now_s + self._period_s)
 
     def _set_pace(self, pace: np.ndarray) -> None:
@@ -459,13 +457,12 @@ class ArmDriver:
         if not self._streaming or now_s < self._next_target_s or self._stream_seq:
             return
         self._next_target_s = max(self._next_target_s + self._period_s, now_s)
-        sample = motion.trajectory.sample(now_s - motion.start_s)
-        units = self._wire.units(sample.positions, self.settings.joint_margin_rad)
-        target = self._governor.step(units, now_s)
+        wanted = self._targets.step(now_s)
+        target = self._governor.step(wanted.units, now_s)
         if target is not None:
             motion.seq = self._stream_seq = self.link.request(self._wire.goto(target),
                                                               motion=True)
-        elif now_s - motion.start_s >= motion.trajectory.duration_s and not motion.seq:
+        elif wanted.done and not motion.seq:
             self._motion = None  # all of it was too small for a servo step
 
     def _ask(self, now_s: float) -> None:

@@ -87,7 +87,7 @@ class Session:
 
     @property
     def seq(self) -> int:
-        """Number that the next request gets."""
+        """Give the number that the next request gets."""
         return self._seq
 
     @property
@@ -177,13 +177,13 @@ class Session:
             self.counts['stray_replies'] += 1  # late, twice, or with a wrong number
             return None
         del self._unanswered[reply.seq]
-        if reply.kind == 'OK' and pending.motion:
+        if reply.kind == 'OK':
             self._remember(reply.seq)
         return Answer(reply.seq, pending.request.text, reply.kind, reply.values)
 
     def _over(self, reply: Reply) -> Event | None:
         pending = self._unanswered.get(reply.seq)
-        if pending is not None and pending.motion:  # its OK was lost
+        if pending is not None and pending.expects('OK'):  # its OK was lost
             del self._unanswered[reply.seq]
         elif reply.seq not in self._running:
             self.counts['stray_replies'] += 1
