@@ -17,7 +17,7 @@ import math
 from typing import NamedTuple
 
 from homography_servo.robot.chain import after_turn
-from homography_servo.robot.robot_file import Robot
+from homography_servo.robot.robot_model import Robot
 import numpy as np
 
 _GRID = 120  # samples of psi, and as many of phi

@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import NamedTuple
 
-from homography_servo.robot.robot_file import Joint
-from homography_servo.robot.robot_file import Robot
+from homography_servo.robot.robot_model import Joint
+from homography_servo.robot.robot_model import Robot
 import numpy as np
 
 _YZX = np.array([1, 2, 0])

@@ -11,7 +11,7 @@ from homography_servo.robot.chain import checked_joints
 from homography_servo.robot.chain import jacobian_of
 from homography_servo.robot.chain import link_frames
 from homography_servo.robot.chain import object_frames
-from homography_servo.robot.robot_file import Robot
+from homography_servo.robot.robot_model import Robot
 import numpy as np
 
 # A posture is a solution when the object is this near: m and rad alike.

@@ -12,7 +12,7 @@ import math
 from typing import Sequence
 
 from homography_servo.result import Rejected
-from homography_servo.robot.robot_file import Robot
+from homography_servo.robot.robot_model import Robot
 import numpy as np
 
 

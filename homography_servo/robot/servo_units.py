@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from homography_servo.robot.robot_file import Robot
+from homography_servo.robot.robot_model import Robot
 import numpy as np
 
 

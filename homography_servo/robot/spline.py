@@ -66,7 +66,10 @@ class Spline:
         state = self._evaluate(piece, inside - self.times_s[piece])
         stands = (time_s < self.times_s[0]) | (time_s >= self.times_s[-1])
         moving = np.where(stands, 0.0, 1.0)[..., None]
-        return Sample(state.positions, state.velocities * moving, state.accelerations * moving)
+        # Exactly the last knot, not what a polynomial rounds it to: it may be a limit.
+        ended = (time_s >= self.times_s[-1])[..., None]
+        positions = np.where(ended, self.knots.positions[-1], state.positions)
+        return Sample(positions, state.velocities * moving, state.accelerations * moving)
 
     def _evaluate(self, piece: np.ndarray, since_s: np.ndarray) -> Sample:
         t = np.asarray(since_s)[..., None]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from homography_servo.robot.robot_file import Robot
+from homography_servo.robot.robot_model import Robot
 from homography_servo.robot.servo_units import from_units
 from homography_servo.robot.servo_units import to_units
 from homography_servo.robot.servo_units import unit_range
@@ -16,6 +16,8 @@ import numpy as np
 _HALVINGS = 7
 # A process that slept goes on from where it was, it does not jump after the clock.
 _LONGEST_STEP_S = 0.1
+# Joints that make less than one unit in this time may make one in a single step.
+_USUAL_STEP_S = 0.02
 
 
 class Target(NamedTuple):
@@ -55,6 +57,7 @@ class TargetStream:
         self._robot = robot
         self._margin_rad = margin_rad
         self._speed = velocity_units_s(robot)
+        self._crawls = self._speed * _USUAL_STEP_S < 1.0
         self._range = unit_range(robot, margin_rad)
         self.restart(units, now_s)
 
@@ -62,7 +65,7 @@ class TargetStream:
         """Stand still where the servos are told to be, as after a stop of the device."""
         self._units = np.array(units, dtype=int)
         self._changed_s = np.full(self._robot.count, float(now_s))
-        self._now_s = float(now_s)
+        self._now_s = self._stepped_s = float(now_s)
         self._trajectory: Trajectory | None = None
         self._joints = from_units(self._robot, self._units)
         self._path_s = self._late_s = 0.0
@@ -91,8 +94,10 @@ class TargetStream:
         passed_s = max(now_s - self._now_s, 0.0)
         self._now_s = max(float(now_s), self._now_s)
         if self._trajectory is None:
+            self._stepped_s = self._now_s
             return self._target()
         units, advance_s = self._reachable(min(passed_s, _LONGEST_STEP_S))
+        self._stepped_s = self._now_s
         self._changed_s[units != self._units] = self._now_s
         self._units = units
         self._path_s += advance_s
@@ -129,5 +134,8 @@ class TargetStream:
                        np.maximum(self._range.high, self._units))
 
     def _slow_enough(self, units: np.ndarray) -> bool:
-        allowed = self._speed * (self._now_s - self._changed_s)
+        allowed = self._speed * (self._now_s - self._stepped_s)
+        # A joint that needs several steps for one unit takes it when its time has come.
+        due = self._crawls & (self._speed * (self._now_s - self._changed_s) >= 1.0)
+        allowed = np.where(due, np.maximum(allowed, 1.0), allowed)
         return bool(np.all(np.abs(units - self._units) <= allowed + 1e-9))

@@ -19,8 +19,6 @@ range between two points, and an arm can follow them, unlike straight lines with
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from dataclasses import replace
 import math
 from typing import NamedTuple
 from typing import Sequence
@@ -33,31 +31,17 @@ from homography_servo.robot.limits import position_problem
 from homography_servo.robot.limits import time_problem
 from homography_servo.robot.limits import velocity_problem
 from homography_servo.robot.spline import Knots
-from homography_servo.robot.spline import monotone_velocities
-from homography_servo.robot.spline import Sample
 from homography_servo.robot.spline import Spline
-from homography_servo.settings import real
-from homography_servo.settings import Settings
-from homography_servo.settings import text
+from homography_servo.robot.timing import brake
+from homography_servo.robot.timing import State
+from homography_servo.robot.timing import timed
+from homography_servo.robot.timing import Trajectory
+from homography_servo.robot.timing import TrajectorySettings
+from homography_servo.robot.timing import Wanted
 import numpy as np
 
-_ROUNDS = 12  # of stretching; two or three are used
-_SHORTEST_S = 1e-3
-
-
-@dataclass(frozen=True)
-class TrajectorySettings(Settings):
-    """How commands become motions."""
-
-    longest_stretch: float = real(
-        10.0, 1.0, 1000.0, '', 'largest factor by which a motion may be slowed down to keep '
-        'the limits, 1 refuses every motion that is too fast')
-    headroom: float = real(
-        0.05, 0.0, 0.5, '', 'share of the velocity limit kept free for rounding to servo units')
-    interpolation: str = text(
-        'smooth', 'between positions without velocities', ('smooth', 'linear'))
-    longest_wait_s: float = real(
-        10.0, 0.0, 3600.0, 's', 'largest time that a header stamp may be ahead of now')
+__all__ = ['accept', 'go_to', 'State', 'stop', 'Trajectory', 'TrajectoryPoint',
+           'TrajectorySettings']
 
 
 class TrajectoryPoint(NamedTuple):
@@ -68,51 +52,6 @@ class TrajectoryPoint(NamedTuple):
     velocities: Sequence[float] = ()
     accelerations: Sequence[float] = ()
     effort: Sequence[float] = ()
-
-
-class State(NamedTuple):
-    """What the arm is told now, in joint order."""
-
-    positions: np.ndarray
-    velocities: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """
-    A motion inside all limits, from the state at its start.
-
-    Parameters
-    ----------
-    spline : Spline
-        Its time 0 is the start.
-    time_scale : float
-        Factor on the times that were asked for, 1 or above.
-    note : str
-        What was changed and why; empty when nothing was.
-    single_point : bool
-        The command had one point, so one `move` does it as well.
-
-    """
-
-    spline: Spline
-    time_scale: float = 1.0
-    note: str = ''
-    single_point: bool = False
-
-    @property
-    def duration_s(self) -> float:
-        """Time from start to rest."""
-        return self.spline.duration_s
-
-    @property
-    def goal(self) -> np.ndarray:
-        """(n,) last positions."""
-        return self.spline.knots.positions[-1]
-
-    def sample(self, time_s: float) -> Sample:
-        """Give positions, velocities and accelerations at a time since the start."""
-        return self.spline.sample(time_s)
 
 
 def accept(limits: MotionLimits, names: Sequence[str], points: Sequence[TrajectoryPoint],
@@ -147,7 +86,9 @@ def accept(limits: MotionLimits, names: Sequence[str], points: Sequence[Trajecto
     order = joint_order(limits, names)
     if isinstance(order, Rejected):
         return order
-    problem = _shape_problem(points, len(order)) or time_problem([p.time_s for p in points])
+    problem = _shape_problem(points, len(order))
+    if problem is None:
+        problem = time_problem([point.time_s for point in points])
     if problem is not None:
         return problem
     wanted = _ordered(points, order)
@@ -155,7 +96,7 @@ def accept(limits: MotionLimits, names: Sequence[str], points: Sequence[Trajecto
     if problem is not None:
         return problem
     wanted = _from_now(wanted, stamp_s, now_s, settings)
-    return wanted if isinstance(wanted, Rejected) else _plan(limits, wanted, start, settings)
+    return wanted if isinstance(wanted, Rejected) else timed(limits, wanted, start, settings)
 
 
 def go_to(limits: MotionLimits, joints_rad: Sequence[float], start: State,
@@ -166,24 +107,10 @@ def go_to(limits: MotionLimits, joints_rad: Sequence[float], start: State,
 
 def stop(limits: MotionLimits, start: State) -> Trajectory:
     """Make the motion that comes to rest: all joints brake together, none too hard."""
-    at_rest, time_s = _brake(limits, start)
+    at_rest, time_s = brake(limits, start)
     return Trajectory(Spline(Knots(np.array([0.0, time_s]), np.stack([start.positions, at_rest]),
                                    np.stack([start.velocities, np.zeros_like(at_rest)]))))
 
-
-def _brake(limits: MotionLimits, start: State) -> tuple[np.ndarray, float]:
-    """Give where and when the joints rest; at a limit they brake harder than allowed."""
-    time_s = max(float(np.max(np.abs(start.velocities) / limits.acceleration_rad_s2)), _SHORTEST_S)
-    room = np.where(start.velocities > 0.0, limits.upper_rad - start.positions,
-                    start.positions - limits.lower_rad)
-    speed = np.abs(start.velocities)
-    longest = np.where(speed > 0.0, 2.0 * np.maximum(room, 0.0) / np.maximum(speed, 1e-12), np.inf)
-    time_s = max(min(time_s, float(longest.min())), _SHORTEST_S)
-    at_rest = start.positions + 0.5 * time_s * start.velocities
-    return np.clip(at_rest, limits.lower_rad, limits.upper_rad), time_s
-
-
-# --- checking ----------------------------------------------------------------------------
 
 def _shape_problem(points: Sequence[TrajectoryPoint], count: int) -> Rejected | None:
     for index, point in enumerate(points):
@@ -204,24 +131,15 @@ def _shape_problem(points: Sequence[TrajectoryPoint], count: int) -> Rejected | 
     return None
 
 
-class _Wanted(NamedTuple):
-    """A command in joint order."""
-
-    times_s: np.ndarray  # (K,)
-    positions: np.ndarray  # (K, n)
-    velocities: np.ndarray | None
-    accelerations: np.ndarray | None
-
-
-def _ordered(points: Sequence[TrajectoryPoint], order: np.ndarray) -> _Wanted:
+def _ordered(points: Sequence[TrajectoryPoint], order: np.ndarray) -> Wanted:
     def table(what: str) -> np.ndarray | None:
         rows = [getattr(point, what) for point in points]
         return np.array(rows, dtype=float)[:, order] if len(rows[0]) else None
     times_s = np.array([point.time_s for point in points], dtype=float)
-    return _Wanted(times_s, table('positions'), table('velocities'), table('accelerations'))
+    return Wanted(times_s, table('positions'), table('velocities'), table('accelerations'))
 
 
-def _values_problem(limits: MotionLimits, wanted: _Wanted) -> Rejected | None:
+def _values_problem(limits: MotionLimits, wanted: Wanted) -> Rejected | None:
     problem = position_problem(limits, wanted.positions)
     if problem is None and wanted.velocities is not None:
         problem = velocity_problem(limits, wanted.velocities)
@@ -232,8 +150,8 @@ def _values_problem(limits: MotionLimits, wanted: _Wanted) -> Rejected | None:
     return problem
 
 
-def _from_now(wanted: _Wanted, stamp_s: float, now_s: float,
-              settings: TrajectorySettings) -> _Wanted | Rejected:
+def _from_now(wanted: Wanted, stamp_s: float, now_s: float,
+              settings: TrajectorySettings) -> Wanted | Rejected:
     """Count times from now and drop the points that have passed."""
     if not math.isfinite(stamp_s):
         return Rejected('the header stamp is not finite')
@@ -245,137 +163,7 @@ def _from_now(wanted: _Wanted, stamp_s: float, now_s: float,
                         f'{settings.longest_wait_s:g} s')
     times_s = wanted.times_s + ahead_s
     if times_s[-1] <= 0.0:
-        return Rejected(f'the trajectory ended {-times_s[-1]:.3g} s ago')
+        return Rejected(f'the trajectory ended {abs(times_s[-1]):.3g} s ago')
     left = times_s > 0.0
-    return _Wanted(times_s[left], *(None if table is None else table[left]
-                                    for table in wanted[1:]))
-
-
-# --- timing ------------------------------------------------------------------------------
-
-def _plan(limits: MotionLimits, wanted: _Wanted, start: State,
-          settings: TrajectorySettings) -> Trajectory | Rejected:
-    """Go there directly; where the present motion forbids that, brake first."""
-    direct = _stretched(limits, wanted, start, settings)
-    if not isinstance(direct, Rejected) or not np.any(start.velocities):
-        return direct
-    at_rest, brake_s = _brake(limits, start)
-    later = _stretched(limits, wanted, State(at_rest, np.zeros_like(at_rest)), settings)
-    if isinstance(later, Rejected):
-        return later
-    notes = [f'braked first, for {brake_s:.3g} s', later.note]
-    return replace(later, spline=_after_brake(start, brake_s, later.spline),
-                   note='; '.join(note for note in notes if note))
-
-
-def _after_brake(start: State, brake_s: float, spline: Spline) -> Spline:
-    """Put a brake (a parabola, so any of the pieces can be one) before a spline."""
-    knots = spline.knots
-    velocities, accelerations = knots.velocities, knots.accelerations
-    if velocities is not None:
-        velocities = np.concatenate([start.velocities[None], velocities])
-    if accelerations is not None:
-        accelerations = np.concatenate([-start.velocities[None] / brake_s, accelerations])
-    return Spline(Knots(np.concatenate([[0.0], knots.times_s + brake_s]),
-                        np.concatenate([start.positions[None], knots.positions]),
-                        velocities, accelerations))
-
-
-def _stretched(limits: MotionLimits, wanted: _Wanted, start: State,
-               settings: TrajectorySettings) -> Trajectory | Rejected:
-    """Stretch all times by one factor until velocities and accelerations fit."""
-    wanted, lead_s = _with_lead(limits, wanted, start)
-    single = len(wanted.times_s) == 1
-    spline, scale, reason = _fitted(limits, wanted, start, settings)
-    if spline is None:
-        return Rejected(f'no slower motion keeps the limits: {reason}')
-    told = 1.0 if lead_s > 0.0 and single else scale
-    if told > settings.longest_stretch:
-        return Rejected(f'{reason}; it needs {told:.3g} times the time given, more than '
-                        f'{settings.longest_stretch:g}')
-    problem = position_problem(_reaching(limits, start), spline.dense().positions)
-    if problem is not None:
-        return Rejected(f'between its points {problem.reason}')
-    return Trajectory(spline, told, _note(told, reason, 0.0 if single else lead_s), single)
-
-
-def _fitted(limits: MotionLimits, wanted: _Wanted, start: State, settings: TrajectorySettings
-            ) -> tuple[Spline | None, float, str]:
-    """Give the spline that fits, its factor on the times, and the first reason for it."""
-    scale, first_reason = 1.0, ''
-    for _ in range(_ROUNDS):
-        spline = _spline(wanted, start, scale, settings)
-        factor, reason = _excess(limits, spline, start, settings)
-        first_reason = first_reason or (reason if factor > 1.0 else '')
-        if factor <= 1.0:
-            return spline, scale, first_reason
-        scale *= min(factor * (1.0 + 1e-6), 1e6)
-    return None, scale, reason
-
-
-def _reaching(limits: MotionLimits, start: State) -> MotionLimits:
-    """Let an arm that stands outside its limits (or their margin) come back."""
-    return replace(limits, lower_rad=np.minimum(limits.lower_rad, start.positions),
-                   upper_rad=np.maximum(limits.upper_rad, start.positions))
-
-
-def _note(scale: float, reason: str, lead_s: float) -> str:
-    notes = []
-    if scale > 1.0:
-        notes.append(f'all times stretched by {scale:.4g}: {reason}')
-    if lead_s > 0.0:
-        notes.append(f'{lead_s:.3g} s added to reach the first point')
-    return '; '.join(notes)
-
-
-def _with_lead(limits: MotionLimits, wanted: _Wanted, start: State) -> tuple[_Wanted, float]:
-    """Give a first point at time 0 the time that it takes to get there."""
-    if wanted.times_s[0] > 0.0:
-        return wanted, 0.0
-    way = np.abs(wanted.positions[0] - start.positions)
-    if len(wanted.times_s) > 1 and way.max() < 1e-9:
-        return _Wanted(*(None if table is None else table[1:] for table in wanted)), 0.0
-    needed = np.maximum(1.5 * way / limits.velocity_rad_s,
-                        np.sqrt(6.0 * way / limits.acceleration_rad_s2))
-    lead_s = max(float(needed.max()), _SHORTEST_S)
-    return wanted._replace(times_s=wanted.times_s + lead_s), lead_s
-
-
-def _spline(wanted: _Wanted, start: State, scale: float, settings: TrajectorySettings) -> Spline:
-    times_s = np.concatenate([[0.0], wanted.times_s * scale])
-    positions = np.concatenate([start.positions[None], wanted.positions])
-    if wanted.velocities is None:
-        if settings.interpolation == 'linear':
-            return Spline(Knots(times_s, positions))
-        rest = np.zeros_like(start.positions)
-        return Spline(Knots(times_s, positions, monotone_velocities(
-            times_s, positions, start.velocities, rest)))
-    velocities = np.concatenate([start.velocities[None], wanted.velocities / scale])
-    if wanted.accelerations is None:
-        return Spline(Knots(times_s, positions, velocities))
-    accelerations = np.concatenate([np.zeros_like(positions[:1]),
-                                    wanted.accelerations / scale**2])
-    return Spline(Knots(times_s, positions, velocities, accelerations))
-
-
-def _excess(limits: MotionLimits, spline: Spline, start: State, settings: TrajectorySettings
-            ) -> tuple[float, str]:
-    """Give the factor on the times that the limits ask for, and which joint asks."""
-    dense = spline.dense()
-    allowed = limits.velocity_rad_s * (1.0 - settings.headroom)
-    # What moves now may be a little faster than that; no stretching slows the start down.
-    allowed = np.maximum(allowed, np.minimum(np.abs(start.velocities) * (1.0 + 1e-9),
-                                             limits.velocity_rad_s))
-    fast = np.abs(dense.velocities).max(axis=(0, 1)) / allowed
-    hard = np.sqrt(np.abs(dense.accelerations).max(axis=(0, 1)) / limits.acceleration_rad_s2)
-    return _worst(limits, fast, hard)
-
-
-def _worst(limits: MotionLimits, fast: np.ndarray, hard: np.ndarray) -> tuple[float, str]:
-    joint = int(np.argmax(np.maximum(fast, hard)))
-    factor = float(max(fast[joint], hard[joint]))
-    if fast[joint] >= hard[joint]:
-        return factor, f'{limits.names[joint]} would be faster than ' \
-                       f'{limits.velocity_rad_s[joint]:.4g} rad/s'
-    return factor, f'{limits.names[joint]} would accelerate by more than ' \
-                   f'{limits.acceleration_rad_s2[joint]:.4g} rad/s^2'
+    tables = (None if table is None else table[left] for table in wanted[1:])
+    return Wanted(times_s[left], *tables)

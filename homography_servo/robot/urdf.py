@@ -11,8 +11,8 @@ import math
 from xml.sax.saxutils import quoteattr
 
 from homography_servo.robot.chain import after_turn
-from homography_servo.robot.robot_file import Joint
-from homography_servo.robot.robot_file import Robot
+from homography_servo.robot.robot_model import Joint
+from homography_servo.robot.robot_model import Robot
 import numpy as np
 
 _RADIUS_M = 0.012
