@@ -9,6 +9,7 @@ a pair of trees that grow towards each other (RRT-Connect), then shortcuts.
 from __future__ import annotations
 
 from functools import cached_property
+from typing import NamedTuple
 
 from homography_servo.planning.feasibility import look
 from homography_servo.planning.task import Task
@@ -21,49 +22,78 @@ SHORTCUTS = 60
 _SPARE = 1.02  # ask a little more than the verdict, which looks at other samples
 
 
+class Values(NamedTuple):
+    """What is asked of configurations, larger is better; numbers or arrays (N,)."""
+
+    room_rad: np.ndarray | float
+    border_px: np.ndarray | float
+    facing_rad: np.ndarray | float  # negative
+    conditioning: np.ndarray | float  # negative beyond a singularity
+
+    def reach(self, limits: Values) -> np.ndarray:
+        """Tell where all values are as large as the limits."""
+        return np.all([value >= limit - 1e-9 for value, limit in zip(self, limits)], axis=0)
+
+
 class JointSpace:
-    """The free configurations of one planning task."""
+    """
+    The free configurations of one planning task.
+
+    On the way a little more is asked than the verdict does, which looks at other
+    samples, but never more than start and goals have.
+    """
 
     def __init__(self, task: Task) -> None:
         self._task = task
-        limits, start = task.settings, task.joints_rad[None]
-        self._sign = self._side(start)[1][0]
-        room, field, facing, condition = (float(v[0]) for v in self._values(start))
-        self._room = min(limits.joint_margin_rad * _SPARE, room)
-        self._field = min(limits.field_margin_px + 1.0, field)
-        self._facing = min(-np.radians(limits.facing_limit_deg) * 0.99, facing)
-        self._condition = min(limits.conditioning_min * _SPARE, condition)
+        limits = task.settings
+        self._sign = self._side(task.joints_rad[None])[1][0]
+        asked = Values(limits.joint_margin_rad, limits.field_margin_px,
+                       -np.radians(limits.facing_limit_deg), limits.conditioning_min)
+        start = self.values(task.joints_rad[None])
+        self.limits = Values(*(min(limit, float(v[0])) for limit, v in zip(asked, start)))
+        found = self.values(task.goal_branches)
+        good = found.reach(self.limits)
+        self.goals = task.goal_branches[good]
+        more = Values(limits.joint_margin_rad * _SPARE, limits.field_margin_px + 1.0,
+                      -np.radians(limits.facing_limit_deg) * 0.99,
+                      limits.conditioning_min * _SPARE)
+        self._passing = Values(*(
+            min(limit, float(v[0]), float(np.min(g[good], initial=np.inf)))
+            for limit, v, g in zip(more, start, found)))
 
     @cached_property
     def lower_rad(self) -> np.ndarray:
         """Lower limits with their margin."""
-        return np.minimum(self._task.robot.lower_rad + self._room, self._task.joints_rad)
+        lower_rad = self._task.robot.lower_rad + self._passing.room_rad
+        return np.minimum(lower_rad, self._task.joints_rad)
 
     @cached_property
     def upper_rad(self) -> np.ndarray:
         """Upper limits with their margin."""
-        return np.maximum(self._task.robot.upper_rad - self._room, self._task.joints_rad)
+        upper_rad = self._task.robot.upper_rad - self._passing.room_rad
+        return np.maximum(upper_rad, self._task.joints_rad)
 
     def free(self, joints_rad: np.ndarray) -> np.ndarray:
         """Tell which of (N, n) configurations may be passed."""
-        room, field, facing, condition = self._values(np.atleast_2d(joints_rad))
-        return (room >= self._room - 1e-9) & (field >= self._field - 1e-6) \
-            & (facing >= self._facing - 1e-9) & (condition >= self._condition - 1e-9)
+        return self.values(np.atleast_2d(joints_rad)).reach(self._passing)
 
     def fault(self, joints_rad: np.ndarray) -> str:
         """Say why a configuration (n,) may not be passed, empty if it may."""
-        room, field, facing, condition = (float(v[0]) for v in self._values(joints_rad[None]))
-        if condition < 0.0:
+        found = Values(*(float(v[0]) for v in self.values(joints_rad[None])))
+        if found.reach(self.limits):
+            return ''
+        if found.conditioning < 0.0:
             return 'a singularity of the arm lies between here and there'
-        if condition < self._condition - 1e-9:
-            return (f'it is near a singularity there (smallest singular value {condition:.4f}, '
-                    f'{self._condition:.4f} is needed)')
-        if room < self._room - 1e-9:
-            index = int(np.argmin(np.minimum(joints_rad - self._task.robot.lower_rad,
-                                             self._task.robot.upper_rad - joints_rad)))
-            return (f'{self._task.robot.joint_names[index]} is {np.degrees(room):.1f} deg from '
-                    f'its limit there ({np.degrees(self._room):.1f} deg are needed)')
-        return '' if self.free(joints_rad[None])[0] else 'the object is not in view there'
+        if found.conditioning < self.limits.conditioning:
+            return (f'it is near a singularity there (smallest singular value '
+                    f'{found.conditioning:.4f}, {self.limits.conditioning:.4f} is needed)')
+        if found.room_rad < self.limits.room_rad:
+            robot = self._task.robot
+            index = int(np.argmin(np.minimum(joints_rad - robot.lower_rad,
+                                             robot.upper_rad - joints_rad)))
+            return (f'{robot.joint_names[index]} is {np.degrees(found.room_rad):.1f} deg from '
+                    f'its limit there ({np.degrees(self.limits.room_rad):.1f} deg are needed)')
+        return 'the object is not well in view there'
 
     def open(self, a: np.ndarray, b: np.ndarray) -> bool:
         """Tell whether the straight way from a to b is free."""
@@ -75,14 +105,15 @@ class JointSpace:
         count = max(int(np.ceil(np.abs(b - a).max() / RESOLUTION_RAD)), 1)
         return a + (b - a) * (np.arange(1, count + 1) / count)[:, None]
 
-    def _values(self, joints_rad: np.ndarray) -> tuple[np.ndarray, ...]:
+    def values(self, joints_rad: np.ndarray) -> Values:
+        """Measure configurations (N, n)."""
         task = self._task
         seen = look(task.poses_of(joints_rad), task.camera, task.object_points_m,
                     task.home_depth_m)
         room = np.minimum(joints_rad - task.robot.lower_rad, task.robot.upper_rad - joints_rad)
         smallest, sign = self._side(joints_rad)
-        return (room.min(axis=1), seen.border_px.min(axis=1), -seen.facing_rad,
-                np.where(sign * self._sign < 0.0, -smallest, smallest))
+        return Values(room.min(axis=1), seen.border_px.min(axis=1), -seen.facing_rad,
+                      np.where(sign * self._sign < 0.0, -smallest, smallest))
 
     def _side(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         length_m = self._task.settings.conditioning_length_m

@@ -124,13 +124,12 @@ def _calm_stops(task: Task) -> list[np.ndarray]:
 def _arm_stops(task: Task, count: int) -> list[np.ndarray]:
     """Give poses at free joints that are a small detour, for any way to hold the goal."""
     space = JointSpace(task)
-    goals = task.goal_branches[space.free(task.goal_branches)]
     rng = np.random.default_rng(task.settings.seed)
     samples = rng.uniform(space.lower_rad, space.upper_rad, (_SAMPLES, len(space.lower_rad)))
     samples = samples[space.free(samples)]
-    if not len(goals) or not len(samples):
+    if not len(space.goals) or not len(samples):
         return []
-    onward = np.linalg.norm(samples[:, None] - goals[None], axis=2).min(axis=1)
+    onward = np.linalg.norm(samples[:, None] - space.goals[None], axis=2).min(axis=1)
     detour = onward + np.linalg.norm(samples - task.joints_rad, axis=1)
     best = samples[np.argsort(detour, kind='stable')[:max(count, 0)]]
     return list(task.poses_of(best)) if len(best) else []
@@ -141,13 +140,12 @@ def joint_space(task: Task) -> Iterator[Proposal]:
     if task.robot is None:
         return
     space = JointSpace(task)
-    goals = task.goal_branches[space.free(task.goal_branches)]
-    for number, goal in enumerate(goals):
+    for number, goal in enumerate(space.goals):
         yield _along(task, np.array([task.joints_rad, goal]),
                      f'a straight path in joint space (branch {number + 1})')
     rng = np.random.default_rng(task.settings.seed)
     name = 'a searched path in joint space'
-    way = search(space, task.joints_rad, goals, task.settings.search_nodes, rng)
+    way = search(space, task.joints_rad, space.goals, task.settings.search_nodes, rng)
     if way is None:
         yield Proposal(name, None, (
             f'no way found with {task.settings.search_nodes} tries that stays in view, inside '
