@@ -80,4 +80,5 @@ def test_links_have_one_parent_and_shapes_have_a_size():
     for shape in root.iter('cylinder'):
         assert float(shape.get('length')) > 0.0
     box = root.find("link[@name='box']/visual/geometry/box")
-    np.testing.assert_allclose(numbers(box.get('size')), [0.10, 0.06, 0.03])
+    np.testing.assert_allclose(numbers(box.get('size')),
+                               [0.10, 0.06, default_robot().box_height_m])
