@@ -18,8 +18,8 @@ MAY_IMPORT = {
 }
 CLOCKS = {'time', 'random', 'datetime'}
 # The wire needs a clock and threads: the port, the process that emulates the device.
-WITH_CLOCK = {'robot/transport.py', 'robot/link.py', 'robot/emulator.py',
-              'robot/emulator_main.py', 'robot/pty_host.py'}
+WITH_CLOCK = {f'robot/{name}.py' for name in (
+    'arm_thread', 'emulator', 'emulator_main', 'faults', 'link', 'port', 'transport')}
 MODULES = sorted(ROOT.rglob('*.py'))
 CORE = [path for path in MODULES if path.relative_to(ROOT).parts[0] in MAY_IMPORT]
 
@@ -69,3 +69,18 @@ def test_core_has_no_clock_and_prints_nothing(path):
 def test_core_has_no_global_state(path):
     tree = ast.walk(ast.parse(path.read_text()))
     assert not [node for node in tree if isinstance(node, ast.Global)]
+
+
+@pytest.mark.parametrize('path', sorted((ROOT / 'nodes').glob('*.py')), ids=name_of)
+def test_no_node_overwrites_what_rclpy_keeps_for_itself(path):
+    node = pytest.importorskip('rclpy.node')
+    own = ast.parse(Path(node.__file__).read_text())
+    kept = {n.attr for n in ast.walk(own) if isinstance(n, ast.Attribute)
+            and isinstance(n.ctx, ast.Store) and n.attr.startswith('_')}
+    tree = ast.walk(ast.parse(path.read_text()))
+    classes = [n for n in tree if isinstance(n, ast.ClassDef)
+               and {'Node', 'LifecycleNode'} & {getattr(b, 'id', '') for b in n.bases}]
+    used = {n.attr for c in classes for n in ast.walk(c) if isinstance(n, ast.Attribute)
+            and isinstance(n.ctx, ast.Store)} | {
+                n.name for c in classes for n in c.body if isinstance(n, ast.FunctionDef)}
+    assert '_parameters' in kept and not used & kept

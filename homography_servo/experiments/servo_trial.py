@@ -146,7 +146,7 @@ def servo(client: TrialClient, sentence: str, timeout_s: float) -> str:
     """Follow the path; gives how it ended as ``converged: ...`` or ``failed: ...``."""
     client.wait(lambda: len(client.log.plan.home_from_object), 5.0, 'no path came')
     client.event(f'{STARTED}: {sentence}')
-    print(client.trigger('visual_servo/start'), flush=True)
+    print(client.trigger_patiently('visual_servo/start'), flush=True)
     progress = ProgressLine(len(client.log.plan.home_from_object))
     until_s, news_s, seen = time.monotonic() + timeout_s, time.monotonic(), 0
     while True:

@@ -117,9 +117,9 @@ class CameraSim(NodeKit, Node):
 
     def __init__(self, **kwargs) -> None:
         super().__init__(self.NAME, **kwargs)
-        self._parameters = Parameters(self, *self.SETTINGS)
-        self._parameters.on_change(self._build)
-        settings = self._parameters[CameraSimSettings]
+        self._settings = Parameters(self, *self.SETTINGS)
+        self._settings.on_change(self._build)
+        settings = self._settings[CameraSimSettings]
         self._robot = _load(load_robot, 'robot_file', settings.robot_file)
         self._camera = _load(load_camera, 'camera_file', settings.camera_file)
         self._index, self._began_s = 0, time.monotonic()
@@ -142,11 +142,11 @@ class CameraSim(NodeKit, Node):
 
     def _build(self) -> None:
         """Make the scene anew, as the settings now say."""
-        settings, robot = self._parameters[CameraSimSettings], self._robot
+        settings, robot = self._settings[CameraSimSettings], self._robot
         true_camera = replace(self._camera, fx=self._camera.fx * (1.0 + settings.focal_error),
                               fy=self._camera.fy * (1.0 + settings.focal_error))
         self._scene = Scene(true_camera, robot.face_size_m, robot.box_height_m,
-                            self._parameters[SceneSettings], settings.seed)
+                            self._settings[SceneSettings], settings.seed)
 
     def _on_joints(self, msg: JointState) -> None:
         joints_rad = joints_from_state(msg, self._robot.joint_names)
@@ -164,10 +164,10 @@ class CameraSim(NodeKit, Node):
             return None
         ahead_s = min(time.monotonic() - self._joints_s, EXTRAPOLATE_S)
         joints_rad = self._joints_rad + ahead_s * self._velocity_rad_s
-        return true_home_from_object(self._robot, joints_rad, self._parameters[CameraSimSettings])
+        return true_home_from_object(self._robot, joints_rad, self._settings[CameraSimSettings])
 
     def _expose(self) -> None:
-        settings = self._parameters[CameraSimSettings]
+        settings = self._settings[CameraSimSettings]
         stamp, now_s = self.get_clock().now().to_msg(), time.monotonic()
         home_from_object = self._pose_now()
         self._index += 1

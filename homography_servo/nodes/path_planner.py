@@ -73,14 +73,14 @@ class PathPlanner(NodeKit, Node):
 
     def __init__(self, **kwargs) -> None:
         super().__init__(self.NAME, **kwargs)
-        self._parameters = Parameters(self, *self.SETTINGS)
-        self._parameters.on_change(self._on_parameters)
-        files = self._parameters[PathPlannerSettings]
+        self._settings = Parameters(self, *self.SETTINGS)
+        self._settings.on_change(self._on_parameters)
+        files = self._settings[PathPlannerSettings]
         self._robot = _robot_from(files.robot_file)
         size = files.face_size_m or (0.1, 0.06)
         points_m = face_corners(*size) if self._robot is None else self._robot.object_points_m
-        self._desk = PlanningDesk(points_m, self._robot, self._parameters[PlannerSettings],
-                                  self._parameters[ObserverSettings])
+        self._desk = PlanningDesk(points_m, self._robot, self._settings[PlannerSettings],
+                                  self._settings[ObserverSettings])
         self._last_sentence = 'no plan yet'
         self._publish_to()
         self._listen_to()
@@ -106,7 +106,7 @@ class PathPlanner(NodeKit, Node):
         self.serve(Trigger, '~/plan', self._on_plan)
 
     def _on_parameters(self) -> None:
-        self._desk.change(self._parameters[PlannerSettings], self._parameters[ObserverSettings])
+        self._desk.change(self._settings[PlannerSettings], self._settings[ObserverSettings])
 
     def _on_camera(self, msg: CameraInfo) -> None:
         self._taken('camera_info', self._desk.set_camera(camera_from_info(msg)))

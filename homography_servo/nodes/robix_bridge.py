@@ -76,23 +76,23 @@ class RobixBridge(NodeKit, LifecycleNode):
 
     def __init__(self, **kwargs) -> None:
         super().__init__(self.NAME, **kwargs)
-        self._parameters = Parameters(self, *self.SETTINGS)
+        self._settings = Parameters(self, *self.SETTINGS)
         self._robot = self._load()
         self._port: Port | None = None
         self._driver: ArmDriver | None = None
         self._thread: ArmThread | None = None
         self._shown_state = ''
         self._rivals = {'joint_trajectory': Rivals(), 'joint_commands': Rivals()}
-        self._parameters.on_change(self._on_parameters)
+        self._settings.on_change(self._on_parameters)
         self._make_interface()
         self.start_kit()
-        if self._parameters[BridgeSettings].autostart:
+        if self._settings[BridgeSettings].autostart:
             self._open()
             self.trigger_configure()
             self.trigger_activate()
 
     def _load(self) -> Robot:
-        name = self._parameters[BridgeSettings].robot_file
+        name = self._settings[BridgeSettings].robot_file
         try:
             return load_robot(find_config(name))
         except FileNotFoundError as error:
@@ -118,7 +118,7 @@ class RobixBridge(NodeKit, LifecycleNode):
         """Open the port; HardwareError says why that fails."""
         if self._thread is not None:
             return
-        settings, port = self._parameters[DriverSettings], self._parameters[PortSettings]
+        settings, port = self._settings[DriverSettings], self._settings[PortSettings]
         servos = max(6, *(joint.channel for joint in self._robot.joints))
         try:
             self._port = Port(port, settings.baud, servos, settings.tick_s)
@@ -129,7 +129,7 @@ class RobixBridge(NodeKit, LifecycleNode):
         first = time.monotonic_ns() // 1000 % 60000 + 1  # differs from the run before
         link = Link(self._port.open, settings.baud, first)
         self._driver = ArmDriver(self._robot, link, settings,
-                                 self._parameters[TrajectorySettings])
+                                 self._settings[TrajectorySettings])
         try:
             link.open_now()
         except LinkError as error:
@@ -202,8 +202,8 @@ class RobixBridge(NodeKit, LifecycleNode):
 
     def _on_parameters(self) -> None:
         if self._driver is not None:
-            self._driver.settings = self._parameters[DriverSettings]
-            self._driver.trajectory_settings = self._parameters[TrajectorySettings]
+            self._driver.settings = self._settings[DriverSettings]
+            self._driver.trajectory_settings = self._settings[TrajectorySettings]
 
     # --- commands ---------------------------------------------------------------------
 
@@ -224,7 +224,7 @@ class RobixBridge(NodeKit, LifecycleNode):
             return False
         if self._rivals[topic].meet(int(info['publication_sequence_number']), now_s):
             self.reject(topic, TWO_COMMAND)
-            self._driver.hold(TWO_COMMAND, now_s, self._parameters[DriverSettings].rival_hold_s)
+            self._driver.hold(TWO_COMMAND, now_s, self._settings[DriverSettings].rival_hold_s)
             return False
         return True
 

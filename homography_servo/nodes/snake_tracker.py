@@ -71,10 +71,10 @@ class SnakeTracker(NodeKit, Node):
 
     def __init__(self, **kwargs) -> None:
         super().__init__(self.NAME, **kwargs)
-        self._parameters = Parameters(self, *self.SETTINGS)
-        self._parameters.on_change(self._on_parameters)
-        own = self._parameters[SnakeTrackerSettings]
-        self._tracker = Tracker(own.face_size_m or (0.10, 0.06), self._parameters[TrackerSettings],
+        self._settings = Parameters(self, *self.SETTINGS)
+        self._settings.on_change(self._on_parameters)
+        own = self._settings[SnakeTrackerSettings]
+        self._tracker = Tracker(own.face_size_m or (0.10, 0.06), self._settings[TrackerSettings],
                                 None, own.box_height_m)
         self._order, self._track = FrameOrder(), None
         self._predicted: tuple[float, np.ndarray] | None = None
@@ -136,11 +136,11 @@ class SnakeTracker(NodeKit, Node):
         return True, 'the object is forgotten and looked for again'
 
     def _on_parameters(self) -> None:
-        self._tracker.settings = self._parameters[TrackerSettings]
+        self._tracker.settings = self._settings[TrackerSettings]
 
     def _watch(self) -> None:
         """Notice by the steady clock that no images come any more."""
-        limit_s = self._parameters[SnakeTrackerSettings].image_timeout_s
+        limit_s = self._settings[SnakeTrackerSettings].image_timeout_s
         if self._image_at_s is not None and time.monotonic() - self._image_at_s > limit_s:
             self._image_at_s = None
             self.count('image_timeouts')
@@ -153,7 +153,7 @@ class SnakeTracker(NodeKit, Node):
         if self._predicted is None:
             return None
         age_s = abs(seconds_from_stamp(msg.header.stamp) - self._predicted[0])
-        fresh = age_s <= self._parameters[SnakeTrackerSettings].prediction_age_s
+        fresh = age_s <= self._settings[SnakeTrackerSettings].prediction_age_s
         return self._predicted[1] if fresh else None
 
     def _publish(self, msg: Image, track: Track) -> None:

@@ -65,8 +65,8 @@ class VideoCamera(NodeKit, Node):
 
     def __init__(self, **kwargs) -> None:
         super().__init__(self.NAME, **kwargs)
-        self._parameters = Parameters(self, *self.SETTINGS)
-        settings = self._parameters[VideoCameraSettings]
+        self._settings = Parameters(self, *self.SETTINGS)
+        settings = self._settings[VideoCameraSettings]
         self._device = settings.source.isdigit()
         self._camera = _camera_from(settings.camera_file)
         self._capture = _open(settings.source)
@@ -89,8 +89,8 @@ class VideoCamera(NodeKit, Node):
         return wanted_hz or (file_hz if usable else DEFAULT_RATE_HZ)
 
     def _read_device(self) -> None:
-        pause_s = 1.0 / self._parameters[VideoCameraSettings].rate_hz \
-            if self._parameters[VideoCameraSettings].rate_hz else 0.0
+        pause_s = 1.0 / self._settings[VideoCameraSettings].rate_hz \
+            if self._settings[VideoCameraSettings].rate_hz else 0.0
         while not self._closing.is_set():
             began_s = time.monotonic()
             good, pixels = self._capture.read()
@@ -102,7 +102,7 @@ class VideoCamera(NodeKit, Node):
             self._closing.wait(max(0.0, pause_s - (time.monotonic() - began_s)))
 
     def _next_of_file(self) -> None:
-        settings = self._parameters[VideoCameraSettings]
+        settings = self._settings[VideoCameraSettings]
         if settings.wait_for_subscriber and not self.counts['images'] \
                 and not self._image.get_subscription_count():
             return
@@ -125,8 +125,8 @@ class VideoCamera(NodeKit, Node):
 
     def _publish(self, pixels: np.ndarray) -> None:
         header = Header(stamp=self.get_clock().now().to_msg(),
-                        frame_id=self._parameters[VideoCameraSettings].frame_id)
-        if self._parameters[VideoCameraSettings].encoding == 'mono8' and pixels.ndim == 3:
+                        frame_id=self._settings[VideoCameraSettings].frame_id)
+        if self._settings[VideoCameraSettings].encoding == 'mono8' and pixels.ndim == 3:
             pixels = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY)
         self._image.publish(image_msg(pixels, header))
         self._info.publish(self._info_msg(pixels, header))

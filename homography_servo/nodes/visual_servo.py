@@ -71,10 +71,10 @@ class VisualServo(NodeKit, Node):
 
     def __init__(self, **kwargs) -> None:
         super().__init__(self.NAME, **kwargs)
-        self._parameters = Parameters(self, *self.SETTINGS)
-        self._parameters.on_change(self._on_parameters)
-        self._robot = _robot_from(self._parameters[VisualServoSettings].robot_file)
-        self._servo = Servo(self._robot, self._parameters[ServoSettings])
+        self._settings = Parameters(self, *self.SETTINGS)
+        self._settings.on_change(self._on_parameters)
+        self._robot = _robot_from(self._settings[VisualServoSettings].robot_file)
+        self._servo = Servo(self._robot, self._settings[ServoSettings])
         self._camera = None
         self._poses_msg: PoseArray | None = None
         self._verdict_msg: DiagnosticArray | None = None
@@ -104,7 +104,7 @@ class VisualServo(NodeKit, Node):
     # Inputs.
 
     def _on_parameters(self) -> None:
-        self._servo.settings = self._parameters[ServoSettings]
+        self._servo.settings = self._settings[ServoSettings]
 
     def _on_camera(self, msg: CameraInfo) -> None:
         camera = camera_from_info(msg)
