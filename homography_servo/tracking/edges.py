@@ -5,10 +5,14 @@ A pixel at signed distance d inside a side is expected to have the grey level
 outside + contrast * share(d), where share is the profile of a blurred edge. Both
 levels are fitted per segment of a few scan lines; the segment's offset is the linear
 least squares step of that model, its variance that of the same step.
+
+Where a darker side of a box can be seen as a narrow strip beside the face, the profile
+is that of two edges a known distance apart, and the distance is measured too.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from homography_servo.tracking.profile import EdgeProfile
@@ -16,10 +20,12 @@ from homography_servo.tracking.scan import FAR_PX
 from homography_servo.tracking.scan import Geometry
 from homography_servo.tracking.scan import Scan
 from homography_servo.tracking.scan import side_geometry
+from homography_servo.tracking.strips import Strips
 import numpy as np
 
 FAR_SIGMAS = 3.0  # far pixels that differ by more than this have another grey level
-FLAT_GREY = 1.0  # and uneven lighting makes them differ by this much
+FLAT_GREY = 1.0  # and uneven light makes them differ by this much
+LINEAR_SHARE = 0.85  # of the largest offset that the linear step can show
 
 
 class Edges(NamedTuple):
@@ -27,13 +33,26 @@ class Edges(NamedTuple):
 
     side: np.ndarray
     along: np.ndarray  # where on the side, 0 to 1
-    normal: np.ndarray  # (s, 2) unit vector towards the inside
-    inward: np.ndarray  # how far the edge lies inside of where it was expected [px]
-    variance: np.ndarray  # of inward, by the noise found in this segment [px^2]
+    normal_u: np.ndarray  # unit vector towards the inside
+    normal_v: np.ndarray
+    inward: np.ndarray  # how far the edge lies inside of where it was expected
+    variance: np.ndarray  # of inward, by the noise found in this segment
     contrast: np.ndarray  # grey levels inside minus outside
     outside: np.ndarray  # grey level
     residual: np.ndarray  # mean squared deviation of the pixels from the model
     lines: np.ndarray  # scan lines in the segment
+    second: SecondEdge | None
+
+
+class SecondEdge(NamedTuple):
+    """Normal equations of the strips' widths; one entry per segment with a strip."""
+
+    segment: np.ndarray
+    mixed: np.ndarray  # information between inward offset and width
+    own: np.ndarray  # information about the width
+    pull: np.ndarray  # right-hand side of the width
+    level_pull: np.ndarray  # the strip's grey level: right-hand side
+    level_own: np.ndarray  # and information, both times the noise variance
 
 
 class Sums(NamedTuple):
@@ -51,7 +70,8 @@ class Sums(NamedTuple):
     slope_along: np.ndarray
 
 
-def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile) -> Edges:
+def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
+                  strips: Strips | None = None) -> Edges:
     """
     Fit the edge profile in every segment.
 
@@ -63,6 +83,8 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile) -> Edge
         Where the corners are thought to be now, in the plane of the scan.
     profile : EdgeProfile
         The blurred edge.
+    strips : Strips or None
+        Sides of a box that show beside the face.
 
     Returns
     -------
@@ -73,17 +95,27 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile) -> Edge
     first, step, scale = line_distances(scan, geometry)
     place = profile.places(first, step, len(scan.grey))
     share, slope = profile.share(place), profile.slope(place)
-    _cut_corners(scan, geometry, profile, share, slope, scale)
+    total = scan.grey.shape[1]
+    share[:, scan.near] *= share[:, total:]
+    slope[:, scan.near] *= share[:, total:]
+    share, slope = share[:, :total], slope[:, :total]
+    back = None
+    if strips is not None:
+        back = strips.mix_in(scan, profile, place, scale, share, slope)
     sums = _sums(scan, share, slope)
     outside, contrast, kept, residual = _levels(sums, scan, step)
     response = sums.slope_grey - outside * sums.slope - contrast * sums.slope_share
     energy = np.maximum(sums.slope_slope * kept, 1e-9)
     safe = np.where(np.abs(contrast) < 1e-3, 1e-3, contrast)
-    length = 1.0 if scale is None else 1.0 / scale.take(scan.first_line)
-    return Edges(scan.segment_side, sums.slope_along / np.maximum(sums.slope_slope, 1e-9),
-                 geometry.normal[scan.segment_side], -length * response / (safe * energy),
-                 length * length * residual / (safe * safe * energy), contrast, outside,
-                 residual, scan.lines)
+    pixel = 1.0 if scale is None else 1.0 / scale.take(scan.layout.first_line)
+    side = scan.layout.segment_side
+    second = None if back is None else _second(scan, back, share, slope, outside, contrast,
+                                               residual / kept)
+    return Edges(side, sums.slope_along / np.maximum(sums.slope_slope, 1e-9),
+                 geometry.normal_u.take(side), geometry.normal_v.take(side),
+                 -pixel * _straightened(response / (safe * energy), profile.sigma_px),
+                 pixel * pixel * residual / (safe * safe * energy), contrast, outside, residual,
+                 scan.layout.lines, second)
 
 
 def line_distances(scan: Scan, geometry: Geometry) -> tuple[np.ndarray, ...]:
@@ -92,28 +124,13 @@ def line_distances(scan: Scan, geometry: Geometry) -> tuple[np.ndarray, ...]:
 
     Distances are in pixels of the image; the scale is None where the plane is the image.
     """
-    normal_u, normal_v = (column.take(scan.side) for column in geometry.normal.T)
+    normal_u, normal_v = geometry.normal_u.take(scan.side), geometry.normal_v.take(scan.side)
     first = normal_u * scan.u + normal_v * scan.v - geometry.level.take(scan.side)
     step = normal_u * scan.du + normal_v * scan.dv
     if not scan.bent:
         return first, step, None
     scale = 1.0 / np.sqrt(scan.du * scan.du + scan.dv * scan.dv)
     return first * scale, step * scale, scale
-
-
-def _cut_corners(scan: Scan, geometry: Geometry, profile: EdgeProfile, share: np.ndarray,
-                 slope: np.ndarray, scale: np.ndarray | None) -> None:
-    """Multiply in the share of the next side on the lines close to a corner."""
-    near, other = scan.near, scan.neighbour
-    normal_u, normal_v = (column.take(other) for column in geometry.normal.T)
-    first = normal_u * scan.u.take(near) + normal_v * scan.v.take(near) \
-        - geometry.level.take(other)
-    step = normal_u * scan.du.take(near) + normal_v * scan.dv.take(near)
-    if scale is not None:
-        first, step = first * scale.take(near), step * scale.take(near)
-    beyond = profile.share(profile.places(first, step, len(share)))
-    share[:, near] *= beyond
-    slope[:, near] *= beyond
 
 
 def _sums(scan: Scan, share: np.ndarray, slope: np.ndarray) -> Sums:
@@ -125,9 +142,9 @@ def _sums(scan: Scan, share: np.ndarray, slope: np.ndarray) -> Sums:
     np.einsum('ij,ij->j', slope, share, out=table[4])
     np.einsum('ij,ij->j', slope, slope, out=table[5])
     np.einsum('ij,ij->j', slope, scan.grey, out=table[6])
-    np.multiply(table[5], scan.along, out=table[7], casting='unsafe')
-    total = np.add.reduceat(table, scan.first_line, axis=1, dtype=np.float64)
-    return Sums(scan.lines * float(len(share)), scan.grey_sum, *total)
+    table[7] = table[5] * scan.along
+    total = np.add.reduceat(table, scan.layout.first_line, axis=1, dtype=np.float64)
+    return Sums(scan.layout.lines * float(len(share)), scan.grey_sum, *total)
 
 
 def _levels(sums: Sums, scan: Scan, step: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -144,32 +161,67 @@ def _levels(sums: Sums, scan: Scan, step: np.ndarray) -> tuple[np.ndarray, ...]:
     outside, contrast, _ = _two_levels(sums)
     # At the least squares solution the explained part is the product with the data.
     missed = scan.grey_square - outside * sums.grey - contrast * sums.share_grey
-    residual = np.maximum(missed, 0.0) / (sums.one - 2.0)
+    residual = np.maximum(missed, 0.01) / (sums.one - 2.0)
     # Far pixels pin the levels down where they have the same level as the near ones.
-    rising = step.take(scan.first_line) > 0.0
-    far_in, far_out = (np.where(rising, scan.high_sum, scan.low_sum),
-                       np.where(rising, scan.low_sum, scan.high_sum))
-    pixels = FAR_PX * scan.lines
-    allowed = FAR_SIGMAS * np.sqrt(2.0 * middle(residual) / pixels) + FLAT_GREY
-    use_in = pixels * (np.abs(far_in / pixels - outside - contrast) < allowed)
-    use_out = pixels * (np.abs(far_out / pixels - outside) < allowed)
-    grey_in = np.where(use_in, far_in, 0.0)
-    wider = sums._replace(one=sums.one + use_in + use_out, share=sums.share + use_in,
-                          share_share=sums.share_share + use_in,
-                          grey=sums.grey + grey_in + np.where(use_out, far_out, 0.0),
-                          share_grey=sums.share_grey + grey_in)
-    outside, contrast, kept = _two_levels(wider)
-    return outside, contrast, kept, residual
+    rising = step.take(scan.layout.first_line) > 0.0
+    far_in = np.where(rising, scan.high_sum, scan.low_sum)
+    far_out = scan.high_sum + scan.low_sum - far_in
+    pixels = FAR_PX * scan.layout.lines
+    allowed = pixels * (FAR_SIGMAS * np.sqrt(2.0 * middle(residual) / pixels) + FLAT_GREY)
+    use_in = np.abs(far_in - pixels * (outside + contrast)) < allowed
+    use_out = np.abs(far_out - pixels * outside) < allowed
+    pixels_in, far_in = pixels * use_in, far_in * use_in
+    wider = sums._replace(one=sums.one + pixels_in + pixels * use_out,
+                          share=sums.share + pixels_in,
+                          share_share=sums.share_share + pixels_in,
+                          grey=sums.grey + far_in + far_out * use_out,
+                          share_grey=sums.share_grey + far_in)
+    return *_two_levels(wider), residual
 
 
 def _two_levels(sums: Sums) -> tuple[np.ndarray, ...]:
-    determinant = np.maximum(sums.one * sums.share_share - sums.share * sums.share, 1e-6)
-    contrast = (sums.one * sums.share_grey - sums.share * sums.grey) / determinant
-    taken = (sums.share_share * sums.slope * sums.slope
-             - 2.0 * sums.share * sums.slope * sums.slope_share
-             + sums.one * sums.slope_share * sums.slope_share) / determinant
+    one, share, slope, slope_share = sums.one, sums.share, sums.slope, sums.slope_share
+    determinant = np.maximum(one * sums.share_share - share * share, 1e-6)
+    contrast = (one * sums.share_grey - share * sums.grey) / determinant
+    taken = (slope * (sums.share_share * slope - 2.0 * share * slope_share)
+             + one * slope_share * slope_share) / determinant
     kept = np.maximum(1.0 - taken / np.maximum(sums.slope_slope, 1e-9), 0.1)
-    return (sums.grey - contrast * sums.share) / sums.one, contrast, kept
+    return (sums.grey - contrast * share) / one, contrast, kept
+
+
+def _straightened(step: np.ndarray, sigma_px: float) -> np.ndarray:
+    """
+    Undo the saturation of the linear step.
+
+    An edge that is off by e gives a step of sqrt(pi) sigma erf(e / (2 sigma)); the
+    inverse's series up to the seventh power is within 1 % up to e = 1.2 sigma.
+    """
+    limit = LINEAR_SHARE * math.sqrt(math.pi) * sigma_px
+    step = np.minimum(np.maximum(step, -limit), limit)
+    q = (step / sigma_px) ** 2
+    return step * (1.0 + q * (1.0 / 12.0 + q * (7.0 / 480.0 + q * (127.0 / 40320.0))))
+
+
+def _second(scan: Scan, back, share: np.ndarray, slope: np.ndarray, outside: np.ndarray,
+            contrast: np.ndarray, noise: np.ndarray) -> SecondEdge:
+    """Form the normal equations of the strips' widths and levels."""
+    lines, grey = back.lines, scan.grey[:, back.lines]
+    share, slope = share[:, lines], slope[:, lines]
+    table = np.empty((9, len(lines)))
+    for row, (a, b) in enumerate(((back.slope, slope), (back.slope, back.slope),
+                                  (back.slope, grey), (back.slope, share),
+                                  (back.strip, grey), (back.strip, share),
+                                  (back.strip, back.strip))):
+        table[row] = np.einsum('ij,ij->j', a, b)
+    table[7], table[8] = back.slope.sum(axis=0), back.strip.sum(axis=0)
+    mixed, own, slope_grey, slope_share, strip_grey, strip_share, strip2, slope_one, strip_one = \
+        np.add.reduceat(table, back.first_line, axis=1)
+    segment = back.segment
+    low, high, noise = outside[segment], contrast[segment], noise[segment]
+    gain = high * high / noise
+    return SecondEdge(segment, -gain * mixed, gain * own,
+                      (slope_grey - low * slope_one - high * slope_share) * high / noise,
+                      strip_grey - low * strip_one - high * strip_share, strip2)
 
 
 def middle(values: np.ndarray) -> float:

@@ -28,7 +28,7 @@ import numpy as np
 
 MIN_SIDE_PX = 8.0
 SHRUNK_BY_PX = 1.5  # a region between edges is smaller than the face by this
-WIDE = Look(2.0, 8, 3, 3, 2, 0.5)
+WIDE = Look(2.0, 8, 3, 3, 2, 0.25, 0.5, 1.0)
 ENOUGH_CANDIDATES = 24
 FIELD_GUESS = 1.2  # focal length over image width of a camera nobody calibrated
 

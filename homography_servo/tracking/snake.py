@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import cv2
 from homography_servo.result import Rejected
 from homography_servo.tracking.edges import Edges
 from homography_servo.tracking.edges import measure_edges
@@ -11,11 +12,13 @@ from homography_servo.tracking.edges import middle
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.profile import edge_profile
 from homography_servo.tracking.scan import read_scan
+from homography_servo.tracking.strips import Strips
 import numpy as np
 
 MODEL_ERROR_PX = 0.01  # straightness of a printed or cut edge, over one segment
 NOISE_FLOOR = 0.3  # mean squared grey level; rounding alone gives 1/12
 ROBUST_SIGMAS = 4.0  # where Tukey's weight ends
+INLIER_WEIGHT = 0.1
 IMAGE_PLANE = Plane(None)
 
 
@@ -33,15 +36,17 @@ class Look(NamedTuple):
     half: int  # pixels on either side of the edge
     stride: int = 1  # distance of the scan lines [px]
     lines: int = 6  # scan lines per segment
-    iterations: int = 2  # linear steps
+    iterations: int = 3  # linear steps at most
+    done_px: float = 0.25  # a smaller step is the last one
     sure_px: float = 0.15  # scatter between segments that is not surprising
+    first_sure_px: float = 0.6  # the same in the first round
 
 
 class Quality(NamedTuple):
     """How well the edges support a shape."""
 
-    inlier_share: float  # of all segments
-    side_share: np.ndarray  # (m,) of the segments of each side
+    inlier_share: float  # of all lines
+    side_share: np.ndarray  # (m,) of the lines of each side
     contrast: float  # median of inside minus outside over the inliers, grey levels
     residual: float  # RMS distance of the inliers from the shape [px]
     noise: float  # pixel noise found, grey levels
@@ -56,11 +61,13 @@ class SnakeFit(NamedTuple):
     edges: Edges
     weight: np.ndarray  # (s,) 0 outlier .. 1 inlier
     miss: np.ndarray  # (s,) distance of the segments from the shape [px]
-    moved_px: float  # last step
+    step: np.ndarray  # (2m,) last move of the corners
+    moved_px: float  # its largest component
 
 
 def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = IMAGE_PLANE,
-              prior: Prior | None = None, polarity: int = 0) -> SnakeFit | Rejected:
+              prior: Prior | None = None, polarity: int = 0,
+              strips: Strips | None = None) -> SnakeFit | Rejected:
     """
     Find the polygon's corners near where they are expected.
 
@@ -78,33 +85,39 @@ def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = I
         What is known before looking.
     polarity : int
         1 when the face is brighter than what surrounds it, -1 when darker, 0 unknown.
+    strips : Strips or None
+        Sides of a box that show beside the face.
 
     Returns
     -------
     SnakeFit or Rejected
 
     """
-    profile, scan, corners = edge_profile(look.blur_px), None, start
+    profile, corners, far_px = edge_profile(look.blur_px), start, np.inf
+    spans = None if strips is None else strips.spans
     for iteration in range(look.iterations):
-        if scan is None or np.abs(corners - read_at).max() > 0.4 * look.half:
-            scan, read_at = read_scan(image, corners, plane, look.half, look.stride,
-                                      look.lines), corners
+        if far_px > 0.4 * look.half:
+            scan, far_px = read_scan(image, corners, plane, look.half, look.stride, look.lines,
+                                     spans), 0.0
             if scan is None:
                 return Rejected('the face is not inside the image')
-        edges = measure_edges(scan, corners, profile)
+        edges = measure_edges(scan, corners, profile, strips)
         usable = _usable(edges, profile.sigma_px, polarity)
-        if usable.sum() < 2 * len(start):
-            return Rejected(f'only {int(usable.sum())} segments show an edge')
-        fit = fit_polygon(edges, corners, usable, prior, look.sure_px, 3 if iteration == 0 else 2,
-                          2.0 * profile.sigma_px)
+        if np.count_nonzero(usable) < 2 * len(start):
+            return Rejected(f'only {np.count_nonzero(usable)} segments show an edge')
+        fit = fit_polygon(edges, corners, usable, prior, look, iteration == 0, strips)
         if not sound(fit.corners):
             return Rejected('the polygon folded')
-        corners = fit.corners
+        corners, far_px = fit.corners, far_px + fit.moved_px
+        if fit.moved_px < look.done_px:
+            break
+        if strips is not None:
+            strips = strips._replace(width=strips.width + strips.rows @ fit.step)
     return fit
 
 
 def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Prior | None,
-                sure_px: float, rounds: int, reach_px: float) -> SnakeFit:
+                look: Look, first: bool = True, strips: Strips | None = None) -> SnakeFit:
     """
     Move the corners to where most segments agree.
 
@@ -118,49 +131,62 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
         Segments that may take part.
     prior : Prior or None
         Holds what no segment measures.
-    sure_px : float
-        Scatter that is not surprising, added to each segment's own [px].
-    rounds : int
-        Reweightings.
-    reach_px : float
-        Offsets beyond this are no longer linear in the image and are cut.
+    look : Look
+        Says what scatter is no surprise.
+    first : bool
+        Whether nothing has been fitted in this picture yet.
+    strips : Strips or None
+        Sides of a box; their widths were measured too.
 
     Returns
     -------
     SnakeFit
 
     """
-    rows = polygon_rows(edges, len(corners))
-    inward = np.minimum(np.maximum(edges.inward, -reach_px), reach_px)
-    noise = noise_of(edges)
-    variance = edges.variance * np.maximum(noise / edges.residual, 1.0) + MODEL_ERROR_PX ** 2
-    narrow = 1.0 / (ROBUST_SIGMAS ** 2 * (variance + sure_px * sure_px))
+    rows, inward = polygon_rows(edges, len(corners)), edges.inward
+    excess = np.maximum(noise_of(edges) / edges.residual, 1.0)
+    variance = edges.variance * excess + MODEL_ERROR_PX ** 2
     precision = usable / variance
     held, pull = _held(prior, corners)
-    # Begin with the middle of each side's votes: a mean would follow the outliers.
-    miss = inward - _side_middles(inward, edges.side, usable, len(corners))
-    for _ in range(rounds):
-        weight = np.maximum(1.0 - miss * miss * narrow, 0.0)
+    miss = inward
+    if first:  # begin with the middle of each side's votes: a mean would follow outliers
+        miss = inward - _side_middles(inward, edges.side, usable, len(corners))
+    for sure_px in ((look.first_sure_px, look.sure_px, look.sure_px) if first
+                    else (look.sure_px,) * 2):
+        weight = np.maximum(
+            1.0 - miss * miss / (ROBUST_SIGMAS ** 2 * (variance + sure_px * sure_px)), 0.0)
         weight *= weight
         weighted = (rows * (precision * weight)[:, None]).T
-        information = weighted @ rows + held
-        covariance = np.linalg.inv(information)
-        shift = covariance @ (weighted @ inward + pull)
+        information, target = weighted @ rows + held, weighted @ inward + pull
+        if edges.second is not None:
+            _add_widths(information, target, edges, strips, rows, weight * usable / excess)
+        covariance = cv2.invert(information, flags=cv2.DECOMP_CHOLESKY)[1]
+        shift = covariance @ target
         miss = inward - rows @ shift
     return SnakeFit(corners + shift.reshape(corners.shape), covariance, edges, weight * usable,
-                    miss, float(np.abs(shift).max()))
+                    miss, shift, float(np.abs(shift).max()))
 
 
 def polygon_rows(edges: Edges, corner_count: int) -> np.ndarray:
     """Say how each segment's inward offset follows from moves of the corners: (s, 2 m)."""
     rows = np.zeros((len(edges.side), 2 * corner_count))
-    number = np.arange(len(edges.side))
-    first, second = 2 * edges.side, 2 * ((edges.side + 1) % corner_count)
-    later = edges.normal * edges.along[:, None]
-    earlier = edges.normal - later
-    rows[number, first], rows[number, first + 1] = earlier.T
-    rows[number, second], rows[number, second + 1] = later.T
+    place = np.arange(0, rows.size, rows.shape[1]) + 2 * edges.side
+    after = place + np.where(edges.side == corner_count - 1, 2 - 2 * corner_count, 2)
+    flat, before = rows.reshape(-1), 1.0 - edges.along
+    flat[place], flat[place + 1] = edges.normal_u * before, edges.normal_v * before
+    flat[after], flat[after + 1] = edges.normal_u * edges.along, edges.normal_v * edges.along
     return rows
+
+
+def _add_widths(information: np.ndarray, target: np.ndarray, edges: Edges, strips: Strips,
+                rows: np.ndarray, weight: np.ndarray) -> None:
+    """Add what the strips' widths say about the corners to the normal equations."""
+    second = edges.second
+    own = strips.rows_at(edges.side[second.segment], edges.along[second.segment])
+    weight = weight[second.segment]
+    mixed = rows[second.segment].T @ (own * (weight * second.mixed)[:, None])
+    information += mixed + mixed.T + own.T @ (own * (weight * second.own)[:, None])
+    target += own.T @ (weight * second.pull)
 
 
 def _held(prior: Prior | None, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -171,12 +197,12 @@ def _held(prior: Prior | None, corners: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def _side_middles(votes: np.ndarray, side: np.ndarray, usable: np.ndarray,
                   count: int) -> np.ndarray:
-    middles = np.zeros(count)
-    for number in range(count):
-        own = votes[(side == number) & usable]
-        if len(own):
-            middles[number] = middle(own)
-    return middles.take(side)
+    """Give each segment the median of its side."""
+    order = np.lexsort((votes, ~usable, side))  # usable ones first on each side
+    voters = np.bincount(side, usable, count).astype(np.intp)
+    before = np.searchsorted(side, np.arange(count))
+    chosen = order.take(np.minimum(before + voters // 2, len(order) - 1))
+    return np.where(voters > 0, votes.take(chosen), 0.0).take(side)
 
 
 def noise_of(edges: Edges) -> float:
@@ -193,21 +219,24 @@ def _usable(edges: Edges, sigma_px: float, polarity: int) -> np.ndarray:
 def quality_of(fit: SnakeFit) -> Quality:
     """Summarise the support of a fit."""
     edges, count = fit.edges, len(fit.corners)
-    inlier = fit.weight > 0.1
-    lines = np.maximum(np.bincount(edges.side, edges.lines, count), 1.0)
-    side_share = np.bincount(edges.side, edges.lines * inlier, count) / lines
-    noise = float(np.sqrt(noise_of(edges)))
+    inlier = fit.weight > INLIER_WEIGHT
+    counted = edges.lines * inlier
+    total = np.maximum(np.bincount(edges.side, edges.lines, count), 1.0)
+    supported = np.bincount(edges.side, counted, count)
+    noise = noise_of(edges) ** 0.5
     if not inlier.any():
-        return Quality(0.0, side_share, 0.0, np.inf, noise, 0.0)
-    contrast = edges.contrast[inlier]
-    return Quality(float(edges.lines[inlier].sum() / lines.sum()), side_share, middle(contrast),
-                   float(np.sqrt(np.mean(fit.miss[inlier] ** 2))), noise,
+        return Quality(0.0, supported / total, 0.0, np.inf, noise, 0.0)
+    contrast, miss = edges.contrast[inlier], fit.miss[inlier]
+    return Quality(float(supported.sum() / total.sum()), supported / total, middle(contrast),
+                   float(miss @ miss / len(miss)) ** 0.5, noise,
                    middle(edges.outside[inlier] + contrast))
 
 
 def sound(corners: np.ndarray) -> bool:
     """Tell whether the polygon is convex, clockwise on the screen and finite."""
-    edge = np.roll(corners, -1, axis=0) - corners
-    after = np.roll(edge, -1, axis=0)
-    cross = edge[:, 0] * after[:, 1] - edge[:, 1] * after[:, 0]
-    return bool(np.isfinite(corners).all() and cross.min() > 16.0)
+    points = corners.tolist()
+    for (u0, v0), (u1, v1), (u2, v2) in zip(points, points[1:] + points[:1],
+                                            points[2:] + points[:2]):
+        if not (u1 - u0) * (v2 - v1) - (v1 - v0) * (u2 - u1) > 16.0:
+            return False
+    return True

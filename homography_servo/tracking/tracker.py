@@ -22,7 +22,7 @@ import numpy as np
 
 SEARCHING, TRACKING, COASTING, LOST = 'SEARCHING', 'TRACKING', 'COASTING', 'LOST'
 POLARITIES = {'any': 0, 'bright': 1, 'dark': -1}
-WIDE = (Look(4.0, 16, 3, 3, 3, 1.0), Look(2.0, 8, 3, 3, 2, 0.5))
+WIDE = (Look(4.0, 16, 3, 3, 3, 0.5, 1.0, 2.0), Look(2.0, 8, 3, 3, 2, 0.25, 0.5, 1.0))
 GIVEN_SHAPE_SIGMA_PX = 4.0  # of corners that a person or the arm gives
 
 

@@ -1,0 +1,90 @@
+"""
+Sides of a box that show as strips beside the face.
+
+A strip of one or two pixels melts into the edge of the face. How wide it is follows
+from the pose of the face and the height of the box; how bright, from earlier pictures.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from homography_servo.tracking.profile import EdgeProfile
+from homography_servo.tracking.profile import STEPS_PER_PX
+from homography_servo.tracking.scan import Scan
+import numpy as np
+
+NARROWEST_PX = 0.05
+
+
+class Back(NamedTuple):
+    """The far edges of the strips: k pixels on each of q lines."""
+
+    lines: np.ndarray  # (q,) of the scan
+    first_line: np.ndarray  # (r,) first of each segment, counted in `lines`
+    segment: np.ndarray  # (r,)
+    slope: np.ndarray  # (k, q) change of the pixel with the width, over the contrast
+    strip: np.ndarray  # (k, q) share of the strip in the pixel
+
+
+class Strips(NamedTuple):
+    """Strips along the m sides of a polygon; a width of 0 or less is no strip."""
+
+    width: np.ndarray  # (m, 2) at the first and second corner of each side
+    rows: np.ndarray  # (m, 2, 2 m) how these widths change with the corners
+    level: np.ndarray  # (m,) brightness: 0 as outside, 1 as the face
+    spans: np.ndarray  # (m, 2) part of each side where this holds, 0 to 1
+
+    def rows_at(self, side: np.ndarray, along: np.ndarray) -> np.ndarray:
+        """Say how the widths at some places change with the corners: (s, 2 m)."""
+        along = along[:, None]
+        return (1.0 - along) * self.rows[side, 0] + along * self.rows[side, 1]
+
+    def width_at(self, side: np.ndarray, along: np.ndarray) -> np.ndarray:
+        """Interpolate the widths."""
+        first = self.width[:, 0].take(side)
+        return first + (self.width[:, 1].take(side) - first) * along
+
+    def mix_in(self, scan: Scan, profile: EdgeProfile, place: np.ndarray,
+               scale: np.ndarray | None, share: np.ndarray, slope: np.ndarray) -> Back | None:
+        """
+        Turn the profile of one edge into that of two where there is a narrow strip.
+
+        Parameters
+        ----------
+        scan : Scan
+            The pixels.
+        profile : EdgeProfile
+            The blurred edge.
+        place : (k, n or more) array
+            Places of the pixels in the tables.
+        scale : (n or more,) array or None
+            Image pixels per unit of the plane on each line.
+        share, slope : (k, n) array
+            Of the face's edge; changed in place.
+
+        Returns
+        -------
+        Back or None
+
+        """
+        layout, total = scan.layout, share.shape[1]
+        width = self.width_at(layout.side, scan.along)
+        if scale is not None:
+            width = width * scale[:total]
+        middle = width.take(layout.first_line + layout.lines // 2)
+        chosen = (middle > NARROWEST_PX) & (middle < len(share) // 2 - 1.0)
+        if not chosen.any():
+            return None
+        lines = np.flatnonzero(np.repeat(chosen, layout.lines))
+        counted = layout.lines[chosen]
+        shift = np.rint(width.take(lines) * STEPS_PER_PX).astype(np.int32)
+        behind = place.take(lines, axis=1) + shift
+        level = self.level.take(layout.side.take(lines)).astype(np.float32)
+        own = share.take(lines, axis=1)
+        strip = profile.share(behind) - own
+        back_slope = level * profile.slope(behind)
+        share[:, lines] = own + level * strip
+        slope[:, lines] = (1.0 - level) * slope.take(lines, axis=1) + back_slope
+        return Back(lines, np.cumsum(counted) - counted, np.flatnonzero(chosen), back_slope,
+                    strip)
