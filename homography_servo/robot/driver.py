@@ -598,6 +598,8 @@ class ArmDriver:
             self._over(finished, 'DONE')  # the line that said so was lost
 
     def _was_reset(self, now_s: float) -> None:
+        if not self._latch:
+            return  # there was nothing to leave: a motion goes on
         self._latch, self._hold = '', '' if self._powered else 'power is off'
         if self._paused_s is not None:
             self.link.request('!resume')  # what was paused is gone
