@@ -11,13 +11,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from diagnostic_msgs.msg import DiagnosticStatus
 from homography_servo.errors import ConfigError
 from homography_servo.nodes.dashboard_board import Board
-from homography_servo.nodes.dashboard_facts import jpeg_from_image
 from homography_servo.nodes.dashboard_facts import joints_fact
+from homography_servo.nodes.dashboard_facts import jpeg_from_image
 from homography_servo.nodes.dashboard_facts import node_facts
 from homography_servo.nodes.dashboard_facts import path_fact
 from homography_servo.nodes.dashboard_facts import progress_fact
 from homography_servo.nodes.dashboard_facts import verdict_fact
-from homography_servo.nodes.kit import DEFAULT
 from homography_servo.nodes.kit import Health
 from homography_servo.nodes.kit import images_qos
 from homography_servo.nodes.kit import LATCHED
@@ -70,8 +69,8 @@ class Dashboard(NodeKit, Node):
 
     def __init__(self, **kwargs) -> None:
         super().__init__(self.NAME, **kwargs)
-        self._parameters = Parameters(self, *self.SETTINGS)
-        self._parameters.on_change(self._on_parameters)
+        self._tuning = Parameters(self, *self.SETTINGS)
+        self._tuning.on_change(self._on_parameters)
         self._board = Board(1)
         self._on_parameters()
         self._images: Any = None
@@ -87,7 +86,7 @@ class Dashboard(NodeKit, Node):
 
     @property
     def _settings(self) -> DashboardSettings:
-        return self._parameters[DashboardSettings]
+        return self._tuning[DashboardSettings]
 
     def _serve_page(self) -> Any:
         try:
