@@ -8,6 +8,7 @@ arm's kinematics if the joints are known, else the previous pose, else the resid
 from __future__ import annotations
 
 from collections import deque
+import math
 from typing import NamedTuple
 
 from homography_servo.geometry.camera import Camera
@@ -20,6 +21,8 @@ import numpy as np
 
 NOISE_LOOKS = 10  # looks that an estimate of the noise needs
 NOISE_RANGE_PX = (0.01, 5.0)
+MEDIAN_OF_NORMAL = 0.6745  # of the absolute value, in standard deviations
+REST_SIGMAS = 6.0  # one corner in 10,000 looks is further off by chance
 
 
 class Look(NamedTuple):
@@ -147,23 +150,20 @@ class Observer:
         looks = np.array([look.corners_px for look in self._looks])[::-1]
         centre = np.cumsum(looks, axis=0) / np.arange(1, len(looks) + 1)[:, None, None]
         drift_px = np.linalg.norm(looks[1:] - centre[:-1], axis=2).max(axis=1)
-        limit_px = max(self.settings.still_px, 6.0 * self.noise_px)
+        limit_px = max(self.settings.still_px, REST_SIGMAS * self.noise_px)
         moved = np.flatnonzero(drift_px > limit_px)
-        count = int(moved[0]) + 1 if len(moved) else len(looks)
-        rest = looks[:count]
+        rest = looks[:int(moved[0]) + 1] if len(moved) else looks
+        count = len(rest)
         noise = float(np.sqrt(rest.var(axis=0, ddof=1).mean())) if count > 1 else float('nan')
         return StillView(rest.mean(axis=0), count, noise)
 
     def _measure_noise(self) -> None:
-        """Take successive differences, which slow motion does not spoil."""
+        """Take second differences, which even motion does not spoil, and their median."""
         if len(self._looks) < NOISE_LOOKS:
             return
-        view = self._trailing_rest()
-        if view.looks < NOISE_LOOKS:
-            return
-        recent = np.array([look.corners_px for look in self._looks])[-view.looks:]
-        noise = float(np.sqrt(0.5 * np.square(np.diff(recent, axis=0)).mean()))
-        self._measured_px = float(np.clip(noise, *NOISE_RANGE_PX))
+        bends = np.diff([look.corners_px for look in self._looks], n=2, axis=0)
+        noise = float(np.median(np.abs(bends))) / (MEDIAN_OF_NORMAL * math.sqrt(6.0))
+        self._measured_px = min(max(noise, NOISE_RANGE_PX[0]), NOISE_RANGE_PX[1])
 
     def _prior(self, time_s: float, arm_pose: np.ndarray | None) -> Prior | None:
         settings = self.settings

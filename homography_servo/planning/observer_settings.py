@@ -20,7 +20,7 @@ class ObserverSettings(Settings):
         0.03, 0.001, 1.0, 'm', 'how far the arm model may be off, for choosing between the '
         'two minima')
     arm_sigma_rad: float = real(
-        0.15, 0.001, 3.0, 'rad', 'how far the arm model may be turned, for the same choice')
+        0.1, 0.001, 3.0, 'rad', 'how far the arm model may be turned, for the same choice')
     motion_m_s: float = real(
         0.3, 0.0, 10.0, 'm/s', 'speed that the object may have, for the choice by the last pose')
     motion_rad_s: float = real(

@@ -200,9 +200,9 @@ def test_the_verdict_is_quick(count, bound_s):
     poses = interpolate(TRIAL[0], TRIAL[-1], count)
     times_s = []
     for _ in range(15):
-        began_s = time.perf_counter()
+        began_s = time.process_time()
         judge(poses)
-        times_s.append(time.perf_counter() - began_s)
+        times_s.append(time.process_time() - began_s)
     assert min(times_s) < bound_s
 
 

@@ -1,0 +1,200 @@
+"""What the planner knows and answers: noise measured, mirrors chosen, goals taken or refused."""
+
+from dataclasses import replace
+
+from homography_servo.geometry.rigid import pose_difference
+from homography_servo.geometry.rigid import rotation_angle
+from homography_servo.planning.desk import PlanningDesk
+from homography_servo.planning.feasibility import look
+from homography_servo.planning.observer import Observer
+from homography_servo.planning.observer_settings import ObserverSettings
+from homography_servo.planning.settings import PlannerSettings
+from homography_servo.result import Rejected
+from homography_servo.robot.kinematics import object_pose
+import numpy as np
+from plan_setup import CAMERA
+from plan_setup import GOAL_RAD
+from plan_setup import POINTS_M
+from plan_setup import ROBOT
+from plan_setup import START_RAD
+import pytest
+
+START, GOAL = object_pose(ROBOT, START_RAD), object_pose(ROBOT, GOAL_RAD)
+TILTED_RAD = START_RAD + np.radians([0.0, 0.0, 0.0, 8.0, 0.0, 0.0])
+PERIOD_S = 1.0 / 30.0
+
+
+def seen(pose):
+    return look(pose[None], CAMERA, POINTS_M, 1.0).points_px[0]
+
+
+class Bench:
+    """A desk with a clock and a camera with noise."""
+
+    def __init__(self, robot=ROBOT, noise_px=0.1, **settings):
+        self.desk = PlanningDesk(POINTS_M, robot, replace(PlannerSettings(), **settings))
+        self.rng, self.noise_px, self.now_s = np.random.default_rng(2), noise_px, 100.0
+        self.desk.set_camera(CAMERA)
+
+    def show(self, pose, joints_rad=None, looks=1):
+        for _ in range(looks):
+            self.now_s += PERIOD_S
+            if joints_rad is not None:
+                self.desk.set_joints(joints_rad, self.now_s)
+            noisy = seen(pose) + self.rng.normal(0.0, self.noise_px, (4, 2))
+            estimate = self.desk.see(noisy, self.now_s)
+        return estimate
+
+
+def test_several_looks_teach_a_goal_better_than_one():
+    one, many = [], []
+    for seed in range(10):
+        bench = Bench(noise_px=0.3)
+        bench.rng = np.random.default_rng(seed)
+        one.append(pose_difference(bench.show(GOAL, GOAL_RAD).home_from_object, GOAL))
+        bench.show(GOAL, GOAL_RAD, looks=39)
+        answer = bench.desk.teach(bench.now_s)
+        assert '40 looks' in answer
+        many.append(pose_difference(bench.desk.goal, GOAL))
+    ratio = np.sqrt(np.square(many).mean(axis=0) / np.square(one).mean(axis=0))
+    assert ratio.max() < 0.5  # sqrt(1 / 40) = 0.16 and what chance adds
+
+
+@pytest.mark.parametrize('noise_px', (0.03, 0.1, 0.6))
+def test_noise_is_measured_and_goes_into_the_covariance(noise_px):
+    bench = Bench(noise_px=noise_px)
+    bench.show(START, START_RAD, looks=60)
+    assert bench.desk.noise_px == pytest.approx(noise_px, rel=0.2)
+    errors, covariances = [], []
+    for _ in range(150):
+        estimate = bench.show(START, START_RAD)
+        errors.append(pose_difference(estimate.home_from_object, START))
+        covariances.append(estimate.covariance)
+    squared = [e @ np.linalg.solve(c, e) for e, c in zip(errors, covariances)]
+    if noise_px < 0.5:  # beyond that the mirror of this square view is too near
+        assert np.mean(squared) == pytest.approx(6.0, rel=0.35)
+
+
+def test_noise_can_be_left_as_it_was_set():
+    observer = Observer(POINTS_M, 1.0, 0.25, ObserverSettings(measure_noise=False))
+    rng = np.random.default_rng(1)
+    for k in range(30):
+        observer.see(seen(START) + rng.normal(0.0, 0.1, (4, 2)), CAMERA, k * PERIOD_S)
+    assert observer.noise_px == 0.25
+
+
+def is_mirror(found, true):
+    """Tell whether a rotation is nearer to the mirror about the line of sight."""
+    sight = true[:3, 3] + (0.0, 0.0, 1.0)
+    sight = sight / np.linalg.norm(sight)
+    mirror = (np.eye(3) - 2.0 * np.outer(sight, sight)) @ true[:3, :3] @ np.diag([1.0, 1.0, -1.0])
+    return rotation_angle(found[:3, :3] @ mirror.T) < rotation_angle(found[:3, :3]
+                                                                     @ true[:3, :3].T)
+
+
+def test_the_arm_decides_between_the_minima_then_the_last_pose():
+    tilted = object_pose(ROBOT, TILTED_RAD)
+    alone = Observer(POINTS_M, 1.0, 0.5)
+    rng = np.random.default_rng(3)
+    guesses = [alone.pose_of(seen(tilted) + rng.normal(0.0, 0.5, (4, 2)), CAMERA)
+               for _ in range(60)]
+    assert sum(is_mirror(g.home_from_object, tilted) for g in guesses) > 5
+    for joints_rad in (TILTED_RAD, None):
+        bench = Bench(noise_px=0.5)
+        bench.show(tilted, TILTED_RAD)
+        wrong = [is_mirror(bench.show(tilted, joints_rad).home_from_object, tilted)
+                 for _ in range(60)]
+        assert sum(wrong) <= 2
+
+
+def test_only_looks_since_the_last_motion_are_averaged():
+    bench = Bench()
+    bench.show(START, START_RAD, looks=30)
+    bench.show(GOAL, GOAL_RAD, looks=12)
+    assert 'from 12 looks' in bench.desk.teach(bench.now_s)
+    assert np.abs(bench.desk.goal - GOAL).max() < 0.05
+
+
+def test_a_goal_needs_looks_at_rest():
+    bench = Bench()
+    for k in range(30):
+        moving = START.copy()
+        moving[0, 3] += 0.004 * k  # 5 px per frame
+        bench.show(moving)
+    assert 'good looks at the object at rest' in bench.desk.teach(bench.now_s).reason
+
+
+def missing(bench):
+    answer = bench.desk.plan(bench.now_s)
+    assert isinstance(answer, Rejected)
+    return answer.reason
+
+
+def test_every_missing_input_is_named():
+    bench = Bench()
+    bench.desk.set_camera(Rejected('k[0] is 0: not calibrated'))
+    assert 'no camera_info' in missing(bench)
+    assert 'no camera_info' in bench.desk.see(seen(START), 0.0).reason
+    assert 'no camera_info' in bench.desk.teach(0.0).reason
+    bench.desk.set_camera(CAMERA)
+    assert 'the object is not seen' in missing(bench)
+    bench.show(START)
+    assert 'no joint_states yet' in missing(bench)
+    bench.show(START, START_RAD)
+    assert 'no goal' in missing(bench)
+    bench.desk.set_goal_pose(GOAL)
+    assert bench.desk.plan(bench.now_s).ok
+    bench.now_s += 0.3
+    assert 'no joint_states for 0.3 s' in missing(bench)
+    bench.now_s += 0.3
+    assert 'has not been seen for 0.6 s' in missing(bench)
+    bench.desk.lose_sight()
+    assert 'the object is not seen' in missing(bench)
+
+
+def refused(bench, answer):
+    assert isinstance(answer, Rejected) and answer.reason.startswith('the goal was refused: ')
+    bench.show(START, START_RAD)
+    assert missing(bench) == answer.reason  # a goal from before must not be taken instead
+    return answer.reason
+
+
+def test_every_bad_goal_is_refused_with_its_reason_and_forgets_the_one_before():
+    bench = Bench()
+    behind, aside, edge_on = np.eye(4), np.eye(4), object_pose(ROBOT, START_RAD)
+    behind[2, 3], aside[0, 3] = -1.2, 0.7
+    edge_on[:3, :3] = [[1.0, 0.0, 0.0], [0.0, 0.05, 0.99875], [0.0, -0.99875, 0.05]]
+    good = seen(GOAL)
+    for goal, words in ((behind, 'behind the camera'), (aside, 'outside the image'),
+                        (edge_on, 'line of sight'), (Rejected('no frame'), 'no frame')):
+        bench.desk.set_goal_pose(GOAL)
+        assert words in refused(bench, bench.desk.set_goal_pose(goal))
+    for corners, words in ((good[::-1], 'mirror'), (np.roll(good, 1, axis=0), 'wrong order'),
+                           (good[[0, 0, 2, 3]], ''), (good[:3], '4 corners'),
+                           (np.full((4, 2), np.inf), 'finite'), (good + (300.0, 0.0), 'image')):
+        bench.desk.set_goal_pose(GOAL)
+        assert words in refused(bench, bench.desk.set_goal_corners(corners, bench.now_s))
+
+
+def test_goal_corners_take_a_minimum_that_the_arm_can_reach():
+    bench = Bench()
+    assert 'goal set' in bench.desk.set_goal_corners(seen(GOAL), bench.now_s)
+    assert np.abs(bench.desk.goal - GOAL).max() < 1e-3
+
+
+def test_an_object_without_an_arm_needs_no_joints():
+    bench = Bench(robot=None)
+    bench.show(START, looks=5)
+    bench.desk.set_goal_pose(GOAL)
+    found = bench.desk.plan(bench.now_s)
+    assert found.ok and found.joints_rad is None
+
+
+def test_settings_change_at_run_time_and_a_new_camera_forgets_looks():
+    bench = Bench()
+    bench.show(START, START_RAD, looks=20)
+    bench.desk.set_goal_pose(GOAL)
+    bench.desk.change(replace(PlannerSettings(), poses=11), ObserverSettings())
+    assert len(bench.desk.plan(bench.now_s).poses) == 11
+    bench.desk.set_camera(replace(CAMERA, fx=700.0))
+    assert 'not seen' in missing(bench)
