@@ -156,7 +156,7 @@ class ArmDriver:
             return f'LATCHED: {self._latch}'
         if self._hold:
             return f'HOLD: {self._hold}'
-        return 'MOVING' if self._motion else 'IDLE'
+        return 'IDLE' if self._motion is None and self._verify is None else 'MOVING'
 
     def snapshot(self, now_s: float) -> Snapshot:
         """Give the state, and where the arm is; None for the arm when that is not known."""

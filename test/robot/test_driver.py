@@ -1,0 +1,523 @@
+"""The driver: when it moves, when it stops, and what lets it go on."""
+
+import itertools
+import math
+import threading
+import time
+
+from homography_servo.errors import LinkError
+from homography_servo.result import Rejected
+from homography_servo.robot.device import Device
+from homography_servo.robot.driver import DriverSettings
+from homography_servo.robot.link import Link
+from homography_servo.robot.protocol import encode_line
+from homography_servo.robot.protocol import Request
+from homography_servo.robot.trajectory import TrajectoryPoint
+from homography_servo.robot.wire import rate_for
+from homography_servo.robot.wire import ServoWire
+from link_setup import decoded
+from link_setup import Judge
+from link_setup import NAMES
+from link_setup import Rig
+from link_setup import ROBOT
+import numpy as np
+import pytest
+
+HALF_UNIT = 0.6 / 940.0  # rad, of the coarsest servo
+
+
+@pytest.fixture
+def rig():
+    return Rig().run(0.2)
+
+
+def moving(rig, joints_rad=(0.8,) * 6):
+    """Begin a motion and be in the middle of it."""
+    assert rig.send((1.0, joints_rad), (2.0, np.negative(joints_rad))) is None
+    rig.run(0.5)
+    assert rig.state == 'MOVING'
+    return rig
+
+
+def stands(rig, time_s=0.3):
+    before = rig.device.machine.positions(rig.now_s)
+    rig.run(time_s)
+    return rig.device.machine.positions(rig.now_s) == before
+
+
+# --- coming up ---------------------------------------------------------------------------
+
+def test_it_comes_up_idle_and_has_told_the_device_its_limits(rig):
+    assert [state for _, state in rig.states] == ['DISCONNECTED', 'IDLE']
+    for joint in ROBOT.joints:
+        low, high = joint.limits_units
+        row = rig.device.machine.table.rows[joint.channel - 1]
+        assert low - 1e-6 <= row['minpos'] < low + 1 and high - 1 < row['maxpos'] <= high + 1e-6
+        assert row['maxspd'] / 0.02 <= joint.velocity_rad_s * joint.units_per_rad
+        assert row['accel'] / 0.02 ** 2 <= joint.acceleration_rad_s2 * joint.units_per_rad
+    assert rig.heard()[0] == '!hello' and '!watch 500' in rig.heard()
+
+
+def test_a_device_that_had_been_stopped_needs_a_reset_first():
+    device = Device()
+    device.feed(b'\x18', 0.0)
+    rig = Rig(device).run(0.2)
+    assert rig.state == 'LATCHED: the device had been stopped before'
+    rig.reset()
+    assert rig.state == 'IDLE'
+
+
+def test_a_device_that_moves_when_the_link_comes_up_is_stopped():
+    device = Device()
+    device.feed(Request(1, '!hello').encode() + Request(2, 'move 1 to 1400').encode(), 1000.0)
+    rig = Rig(device).run(0.2)
+    assert rig.state.startswith('LATCHED: the arm was moving') and stands(rig)
+
+
+def test_too_few_servos_are_a_sentence():
+    rig = Rig(Device(servos=4)).run(0.5)
+    assert rig.go([0.1] * 6).reason == 'not connected'
+    with pytest.raises(LinkError, match='uses servo 6, the device has 4'):
+        ServoWire(ROBOT, 4, 0.02)
+
+
+def test_before_the_link_is_up_nothing_is_taken():
+    rig = Rig()
+    assert rig.go([0.0] * 6).reason == 'not connected'
+    assert rig.driver.power(True, 0.0).reason == 'not connected'
+    assert 'not connected' in rig.driver.reset(0.0).reason
+    rig.run(0.2).driver.active = False
+    assert rig.go([0.0] * 6).reason == 'the node is not active'
+
+
+# --- moving ------------------------------------------------------------------------------
+
+def test_a_single_point_is_one_move_that_takes_the_time_it_was_given(rig):
+    start_s = rig.now_s
+    assert rig.send((1.5, [0.5, -0.4, 0.3, 0.0, 0.2, -0.1])) is None
+    rig.run(2.5)
+    lines = rig.heard(start_s)
+    assert sum(line.startswith('move ') for line in lines) == 1
+    assert not any(line.startswith('!goto') for line in lines)
+    assert rig.arm.positions == pytest.approx([0.5, -0.4, 0.3, 0.0, 0.2, -0.1], abs=HALF_UNIT)
+    ended_s = [time_s for time_s, state in rig.states if state == 'IDLE'][-1]
+    assert ended_s - start_s == pytest.approx(1.5, abs=0.3) and rig.state == 'IDLE'
+
+
+def test_several_points_are_streamed_and_passed_in_time(rig):
+    joints = ROBOT.joint_names
+    wanted = [(0.8, [0.3, 0.2, -0.3, 0.1, 0.0, 0.2]), (2.0, [0.6, 0.0, -0.1, 0.1, 0.3, 0.2])]
+    start_s = rig.now_s
+    assert rig.send(*wanted) is None
+    rig.run(0.8)
+    lag = np.abs(rig.arm.positions - wanted[0][1]).max()
+    assert lag < 0.1, lag  # the device brakes for every target: it follows a little later
+    rig.run(1.7)
+    gotos = [line for line in rig.heard(start_s) if line.startswith('!goto')]
+    assert 60 <= len(gotos) <= 110 and len(joints) == 6
+    assert rig.arm.positions == pytest.approx(wanted[1][1], abs=HALF_UNIT)
+    assert rig.state == 'IDLE' and not rig.arm.velocities.any()
+
+
+def test_velocities_tell_that_it_moves_and_that_it_stands(rig):
+    rig.send((1.0, [0.5] * 6))
+    rig.run(0.5)
+    assert rig.arm.velocities == pytest.approx([0.7] * 6, rel=0.5)
+    rig.run(1.0)
+    assert not rig.arm.velocities.any()
+
+
+def test_a_new_trajectory_replaces_the_old_one_without_a_jump(rig):
+    moving(rig)
+    start_s = rig.now_s
+    assert rig.send((1.5, [-0.2] * 6)) is None
+    rig.run(2.5)
+    assert rig.arm.positions == pytest.approx([-0.2] * 6, abs=HALF_UNIT)
+    assert Judge().watch(rig.log).violations == [] and rig.state == 'IDLE'
+    assert not any(line.startswith('move') for line in rig.heard(start_s))
+
+
+def test_a_move_under_way_is_replaced_too(rig):
+    rig.send((1.5, [0.9] * 6))
+    rig.run(0.7)
+    before = rig.arm
+    assert rig.send((1.0, [0.0] * 6)) is None
+    rig.run(0.05)
+    assert (rig.arm.positions > before.positions - 0.02).all()  # no jerk backwards
+    rig.run(2.0)
+    assert rig.arm.positions == pytest.approx([0.0] * 6, abs=HALF_UNIT) and rig.state == 'IDLE'
+
+
+def test_no_points_mean_stop_softly_and_stay_ready(rig):
+    moving(rig)
+    assert rig.send() is None
+    rig.run(0.8)
+    assert rig.state == 'IDLE' and stands(rig) and b'\x18' not in rig.log[-1][1]
+    assert rig.go([0.0] * 6) is None
+
+
+def test_a_command_to_where_it_stands_moves_nothing(rig):
+    start_s = rig.now_s
+    assert rig.go([0.0] * 6) is None
+    rig.run(0.3)
+    assert {line for line in rig.heard(start_s)} <= {'?', '?pos'} and rig.state == 'IDLE'
+
+
+@pytest.mark.parametrize('names, points, reason', [
+    (NAMES[:5], [(1.0, [0.0] * 5)], 'joint6'),
+    ((*NAMES[:5], 'wrist'), [(1.0, [0.0] * 6)], 'wrist'),
+    ((*NAMES[:5], 'joint1'), [(1.0, [0.0] * 6)], 'joint1'),
+    ((), [(1.0, [0.0] * 6)], 'names'),
+    (NAMES, [(1.0, [0.0] * 5)], '5 positions'),
+    (NAMES, [(2.0, [0.0] * 6), (1.0, [0.0] * 6)], 'increase'),
+    (NAMES, [(-1.0, [0.0] * 6)], 'negative'),
+    (NAMES, [(1.0, [math.nan] + [0.0] * 5)], 'not finite'),
+    (NAMES, [(1.0, [math.inf] + [0.0] * 5)], 'not finite'),
+    (NAMES, [(1.0, [ROBOT.upper_rad[0] - 0.05 + 1e-9] + [0.0] * 5)], 'outside'),
+    (NAMES, [(1.0, [-1e9] + [0.0] * 5)], 'outside'),
+    (NAMES, [(1.0, [0.1] * 6, [99.0] * 6)], 'above its limit'),
+    (NAMES, [(1.0, [0.1] * 6, [0.1] * 6)], 'at rest'),
+    (NAMES, [(1e-4, [1.0] * 6)], 'more than'),
+])
+def test_what_is_wrong_is_refused_with_a_reason_and_moves_nothing(rig, names, points, reason):
+    start_s = rig.now_s
+    problem = rig.driver.command(names, [TrajectoryPoint(*p) for p in points], rig.now_s)
+    assert isinstance(problem, Rejected) and reason in problem.reason
+    rig.run(0.3)
+    assert {line for line in rig.heard(start_s)} <= {'?', '?pos'} and rig.state == 'IDLE'
+
+
+def test_a_command_at_the_limit_is_taken_and_arrives_inside(rig):
+    goal = ROBOT.upper_rad - 0.05
+    assert rig.send((3.0, goal)) is None
+    rig.run(4.0)
+    assert (rig.arm.positions <= goal + 1e-9).all()
+    assert rig.arm.positions == pytest.approx(goal, abs=2 * HALF_UNIT)
+
+
+def test_home_is_slow_and_ends_at_zero(rig):
+    rig.send((2.0, [0.6] * 6))
+    rig.run(3.0)
+    start_s = rig.now_s
+    assert rig.driver.home(rig.now_s) is None
+    fastest = 0.0
+    while rig.state != 'IDLE' or rig.now_s < start_s + 0.5:
+        rig.run(0.02)
+        fastest = max(fastest, np.abs(rig.arm.velocities).max())
+    assert 0.1 < fastest < 0.35 and not rig.arm.positions.any()
+
+
+def test_an_arm_outside_its_limits_comes_back_by_one_move_only():
+    device = Device()
+    device.feed(Request(1, '!hello').encode() + Request(2, 'move 1 to 1400').encode(), 990.0)
+    rig = Rig(device).run(0.2)
+    assert rig.state == 'IDLE'
+    assert 'outside its limits' in rig.send((1.0, [0.1] * 6), (2.0, [0.2] * 6)).reason
+    assert rig.driver.home(rig.now_s) is None
+    rig.run(8.0)
+    assert rig.state == 'IDLE' and not rig.arm.positions.any()
+
+
+# --- stopping ----------------------------------------------------------------------------
+
+def test_stop_reaches_the_wire_at_once_and_nothing_moves_before_a_reset(rig):
+    moving(rig)
+    before = len(rig.log)
+    assert rig.driver.stop_now('a test')
+    assert rig.log[before][1] == b'\x18'
+    assert stands(rig) and rig.state == 'LATCHED: a test'
+    assert 'latched (a test); call ~/reset' in rig.go([0.0] * 6).reason
+    rig.run(0.5)
+    assert Judge().watch(rig.log).violations == []
+    rig.reset()
+    assert rig.state == 'IDLE' and stands(rig)
+    assert rig.go([0.0] * 6) is None
+    rig.run(2.0)
+    assert not rig.arm.positions.any()
+
+
+def test_a_command_that_waits_when_the_stop_comes_does_not_run(rig):
+    seen = []
+    rig.driver.offer(lambda now_s: seen.append(rig.go([0.5] * 6)))
+    rig.driver.stop_now('a test')
+    rig.run(0.3)
+    assert 'latched' in seen[0].reason and not rig.arm.positions.any()
+
+
+def test_a_reset_while_it_moves_changes_nothing(rig):
+    moving(rig)
+    rig.reset()
+    rig.run(5.0)
+    assert rig.arm.positions == pytest.approx([-0.8] * 6, abs=HALF_UNIT)
+
+
+def test_reset_waits_for_the_device(rig):
+    rig.driver.stop_now('a test')
+    answers = []
+    thread = threading.Thread(target=lambda: answers.append(rig.driver.reset(5.0)))
+    thread.start()
+    while thread.is_alive():
+        rig.turn()
+        time.sleep(0.001)
+    assert answers == [None] and rig.state == 'IDLE'
+    rig.silent = True
+    rig.driver.stop_now('again')
+    assert 'did not answer' in rig.driver.reset(0.01).reason
+
+
+def test_a_stream_of_commands_that_ends_is_held_in_time(rig):
+    for k in range(40):
+        assert rig.go([0.02 * k] * 6) is None
+        rig.run(0.02)
+    ended_s = rig.now_s
+    rig.run(1.0)
+    held_s = next(time_s for time_s, state in rig.states if state.startswith('HOLD'))
+    assert held_s - ended_s < 0.27 and 'no command for 0.25 s' in rig.state
+    assert rig.go([0.0] * 6) is None and rig.state == 'MOVING'  # goes on by itself
+
+
+def test_one_command_is_no_stream_and_runs_to_its_end(rig):
+    rig.send((1.5, [0.8] * 6))
+    rig.run(0.1)
+    rig.send((1.5, [0.7] * 6))
+    rig.run(3.0)
+    assert rig.arm.positions == pytest.approx([0.7] * 6, abs=HALF_UNIT) and rig.state == 'IDLE'
+
+
+def test_a_timed_hold_locks_commands_out_until_it_is_over(rig):
+    moving(rig)
+    rig.driver.hold('two of them', rig.now_s, 1.0)
+    assert rig.go([0.0] * 6).reason == 'two of them'
+    rig.run(0.9)
+    assert rig.state == 'HOLD: two of them' and stands(rig, 0.05)
+    rig.run(0.1)
+    assert rig.state == 'IDLE' and rig.go([0.0] * 6) is None
+
+
+def test_pause_stands_and_going_on_ends_where_it_should(rig):
+    for points in ([(1.0, [0.5] * 6)], [(1.0, [-0.5] * 6), (2.0, [0.2] * 6)]):
+        assert rig.send(*points) is None
+        rig.run(0.5)
+        assert rig.driver.pause(True, rig.now_s) is None
+        rig.run(0.4)
+        assert rig.state == 'HOLD: paused' and stands(rig)
+        assert 'paused' in rig.go([0.0] * 6).reason
+        rig.driver.pause(False, rig.now_s)
+        rig.run(3.0)
+        assert rig.arm.positions == pytest.approx(points[-1][1], abs=HALF_UNIT)
+        assert rig.state == 'IDLE'
+
+
+def test_power_off_ends_a_motion_and_refuses_others(rig):
+    moving(rig)
+    assert rig.driver.power(False, rig.now_s) is None
+    rig.run(0.1)
+    assert rig.state == 'HOLD: power is off' and stands(rig)
+    assert 'power is off' in rig.go([0.0] * 6).reason
+    rig.driver.power(True, rig.now_s)
+    rig.run(0.1)
+    assert rig.state == 'IDLE' and rig.go([0.0] * 6) is None
+
+
+def test_a_farewell_stops_a_moving_arm_and_leaves_a_resting_one_unlatched(rig):
+    rig.driver.quit(rig.now_s)
+    rig.device.step(rig.now_s + 10.0)
+    assert not rig.device.machine.latched and rig.heard()[-1] == '!watch 0'
+    moving(rig)
+    rig.driver.quit(rig.now_s)
+    assert rig.log[-1][1] == b'\x18'
+
+
+# --- faults ------------------------------------------------------------------------------
+
+def test_a_silent_line_latches_within_300_ms(rig):
+    moving(rig)
+    rig.silent, since_s = True, rig.now_s
+    rig.run(0.3)
+    assert rig.state == 'DISCONNECTED' and rig.states[-1][0] - since_s < 0.3
+    rig.silent = False
+    rig.run(2.0)
+    assert rig.state.startswith('LATCHED: the link was lost') and stands(rig)
+    assert Judge().watch(rig.log).violations == []
+    rig.reset()
+    assert rig.state == 'IDLE' and stands(rig)
+
+
+def test_it_comes_back_within_6_s_after_a_long_absence(rig):
+    rig.absent, rig.silent = True, True
+    rig.run(30.0)
+    rig.absent = rig.silent = False
+    back_s = rig.now_s
+    rig.run(6.0)
+    assert rig.state.startswith('LATCHED') and rig.states[-1][0] - back_s < 6.0
+
+
+def test_a_line_that_takes_no_byte_is_lost_and_no_write_waits(rig):
+    moving(rig)
+    rig.blocked, start = True, time.monotonic()
+    rig.run(0.4)
+    assert rig.state == 'DISCONNECTED' and time.monotonic() - start < 1.0
+
+
+@pytest.mark.parametrize('notice, why', [('ESTOP', 'the device was stopped'),
+                                         ('WATCHDOG', 'heard nothing')])
+def test_what_the_device_cries_latches(rig, notice, why):
+    moving(rig)
+    rig.spoil = lambda data: data + encode_line(f'! {notice}')
+    rig.turn()
+    rig.spoil = lambda data: data
+    rig.run(0.2)
+    assert why in rig.state
+
+
+def test_a_device_that_restarts_is_greeted_again_and_latched(rig):
+    moving(rig)
+    rig.device.__init__()
+    rig.run(2.0)
+    assert rig.state.startswith('LATCHED') and 'restarted' in rig.state
+    assert rig.device.machine.table.rows[0]['maxspd'] < 100  # told its limits again
+
+
+def test_a_refused_motion_latches_with_the_error(rig):
+    rig.device.machine.table.rows[2]['maxpos'] = 10
+    rig.send((1.0, [0.5] * 6))
+    rig.run(0.5)
+    assert rig.state.startswith('LATCHED: the device refused move: error 102')
+
+
+def test_a_servo_that_does_not_follow_is_noticed(rig):
+    rig.device.machine.freeze(2, rig.now_s)
+    rig.send((1.0, [0.5] * 6))
+    rig.run(2.0)
+    assert rig.state.startswith('LATCHED: joint3 did not follow')
+
+
+def test_a_lost_done_is_made_up_by_the_status(rig):
+    rig.spoil = lambda data: b''.join(line for line in data.splitlines(True)
+                                      if b'DONE' not in line)
+    for points in ([(0.5, [0.3] * 6)], [(0.5, [0.1] * 6), (1.0, [0.2] * 6)]):
+        rig.send(*points)
+        rig.run(3.0)
+        assert rig.state == 'IDLE'
+
+
+@pytest.mark.parametrize('share', [0.1, 0.3])
+def test_lost_replies_are_asked_for_again_and_nothing_runs_twice(share):
+    rng = np.random.default_rng(1)
+    rig = Rig().run(0.2)
+    rig.spoil = lambda data: b''.join(line for line in data.splitlines(True)
+                                      if rng.random() > share)
+    rig.send((1.0, [0.3] * 6), (2.0, [0.2] * 6))
+    rig.run(4.0)
+    judge = Judge().watch(rig.log)
+    assert judge.violations == []
+    assert rig.driver.all_counts['repeats'] > 3
+    if rig.state == 'IDLE':
+        assert rig.arm.positions == pytest.approx([0.2] * 6, abs=HALF_UNIT)
+    else:
+        assert rig.state.startswith(('LATCHED', 'DISCONNECTED'))
+
+
+def test_garbage_between_replies_changes_nothing(rig):
+    rng = np.random.default_rng(1)
+    rig.spoil = lambda data: rng.bytes(200).replace(b'\n', b'') + b'\n' + data
+    rig.send((1.0, [0.3] * 6), (2.0, [0.2] * 6))
+    rig.run(3.0)
+    assert rig.state == 'IDLE'
+    assert rig.arm.positions == pytest.approx([0.2] * 6, abs=HALF_UNIT)
+
+
+def test_a_million_bytes_of_garbage_are_no_answer(rig):
+    rng = np.random.default_rng(2)
+    rig.spoil = lambda data: rng.bytes(20000)
+    rig.run(0.25)
+    assert rig.driver.all_counts['bad_lines'] > 1000
+    rig.spoil = lambda data: data
+    rig.run(2.0)
+    assert rig.state == 'IDLE' or rig.state.startswith('LATCHED')
+    rig.reset()
+    assert rig.state == 'IDLE'
+
+
+def test_wrong_positions_are_counted_not_believed(rig):
+    rig.spoil = lambda data: b''.join(
+        encode_line(line[:-6].decode().replace(' 0 0 0', '', 1)) if b'POS' in line else line
+        for line in data.splitlines(True))
+    rig.run(0.5)
+    assert rig.driver.all_counts['bad_positions'] > 5
+
+
+def script_of_a_session(rig):
+    """Move in every way there is, stop, reset, move again."""
+    rig.run(0.1)
+    rig.send((0.4, [0.2] * 6))
+    rig.run(0.2)
+    rig.send((0.3, [0.1] * 6), (0.5, [0.0] * 6))
+    rig.run(0.3)
+    rig.driver.pause(True, rig.now_s)
+    rig.run(0.05)
+    rig.driver.pause(False, rig.now_s)
+    rig.run(0.1)
+    rig.driver.stop_now('a test')
+    rig.run(0.05)
+
+
+def operations_of_a_session():
+    rig = Rig(step_s=0.02)
+    script_of_a_session(rig)
+    return rig.operations
+
+
+def test_io_that_fails_at_the_k_th_call_never_hangs_and_never_moves_before_a_reset():
+    """For every k of a session, reads and writes alike; the session itself ends in a stop."""
+    for k in range(1, operations_of_a_session() + 1):
+        rig, start = Rig(step_s=0.02, break_at=[k]), time.monotonic()
+        script_of_a_session(rig)
+        rig.run(1.5)
+        assert rig.operations >= k and time.monotonic() - start < 20.0
+        assert Judge().watch(rig.log).violations == []
+        assert rig.state.startswith('LATCHED'), (k, rig.state)
+        tried_s = rig.now_s
+        assert 'latched' in rig.go([0.3] * 6).reason
+        rig.run(0.1)
+        assert not [line for line in rig.heard(tried_s) if line.startswith(('move', '!goto'))]
+        rig.reset()
+        assert rig.state == 'IDLE' and rig.go([0.05] * 6) is None, k
+
+
+def test_no_turn_takes_long_while_the_line_fails_all_the_time():
+    rig = Rig(step_s=0.01, break_at=range(1, 10000, 7))
+    longest = 0.0
+    for _ in range(2000):
+        start = time.monotonic()
+        rig.turn()
+        longest = max(longest, time.monotonic() - start)
+    assert longest < 1.0 and rig.state == 'DISCONNECTED' or rig.state.startswith('LATCHED')
+
+
+@pytest.mark.parametrize('baud, rate', [(115200, 50.0), (9600, 7.68), (1200, 0.96)])
+def test_the_stream_fits_the_line(baud, rate):
+    assert rate_for(baud) == pytest.approx(rate)
+
+
+def test_at_9600_baud_it_moves_too():
+    rig = Rig(settings=DriverSettings(baud=9600)).run(0.3)
+    start_s = rig.now_s
+    rig.send((1.0, [0.3] * 6), (2.0, [0.2] * 6))
+    rig.run(3.0)
+    down = sum(len(data) for time_s, data in rig.log if time_s > start_s) / 3.0
+    assert rig.state == 'IDLE' and down < 960.0
+    assert rig.arm.positions == pytest.approx([0.2] * 6, abs=HALF_UNIT)
+    assert Judge().watch(rig.log).violations == []
+
+
+def test_sequence_numbers_go_round_in_a_session():
+    rig = Rig()
+    rig.link = rig.driver.link = Link(rig._open, first_seq=65500)
+    rig.run(0.2)
+    rig.send((1.0, [0.3] * 6), (2.0, [0.2] * 6))
+    rig.run(3.0)
+    numbers = [int(text.split()[0]) for text, _ in decoded(rig.log)]
+    assert 65535 in numbers and 1 in numbers and 0 not in numbers
+    assert rig.state == 'IDLE'
+    assert all(b == a + 1 or (a, b) == (65535, 1) for a, b in itertools.pairwise(numbers))
