@@ -577,9 +577,10 @@ class ArmDriver:
             return
         wire_s = LONGEST_REPLY * BITS_PER_BYTE / self.settings.baud
         heard_s = max(now_s - wire_s, now_s if asked_s is None else asked_s)
-        self._estimate.add(heard_s, self._wire.joints(units))
         if self._verify is not None and self._motion is None and asked_s is not None:
+            self._estimate.clear()  # DONE came before this was asked: it stands
             self._check_arrival(units)
+        self._estimate.add(heard_s, self._wire.joints(units))
 
     def _check_arrival(self, units: np.ndarray) -> None:
         off = np.abs(units - self._verify)
