@@ -25,6 +25,7 @@ import numpy as np
 
 FAR_SIGMAS = 3.0  # far pixels that differ by more than this have another grey level
 FLAT_GREY = 1.0  # and uneven light makes them differ by this much
+MOST_POOLED = 300.0  # pixels that the other segments may stand for
 LINEAR_SHARE = 0.85  # of the largest offset that the linear step can show
 
 
@@ -176,7 +177,27 @@ def _levels(sums: Sums, scan: Scan, step: np.ndarray) -> tuple[np.ndarray, ...]:
                           share_share=sums.share_share + pixels_in,
                           grey=sums.grey + far_in + far_out * use_out,
                           share_grey=sums.share_grey + far_in)
-    return *_two_levels(wider), residual
+    return *_two_levels(_pooled(wider, middle(residual))), residual
+
+
+def _pooled(sums: Sums, noise: float) -> Sums:
+    """
+    Let segments learn the grey levels from each other as far as they are alike.
+
+    A level common to all segments counts like noise / scatter more pixels of it.
+    """
+    outside, contrast, _ = _two_levels(sums)
+    counts, levels = [], []
+    for level, seen in ((outside, sums.one - sums.share), (outside + contrast, sums.share)):
+        common = middle(level)
+        scatter = (1.48 * middle(np.abs(level - common))) ** 2 - noise / middle(seen)
+        counts.append(min(noise / max(scatter, 1e-3 * noise), MOST_POOLED))
+        levels.append(common)
+    count_in, grey_in = counts[1], counts[1] * levels[1]
+    return sums._replace(one=sums.one + (counts[0] + count_in), share=sums.share + count_in,
+                         share_share=sums.share_share + count_in,
+                         grey=sums.grey + (counts[0] * levels[0] + grey_in),
+                         share_grey=sums.share_grey + grey_in)
 
 
 def _two_levels(sums: Sums) -> tuple[np.ndarray, ...]:

@@ -15,7 +15,7 @@ from homography_servo.tracking.scan import read_scan
 from homography_servo.tracking.strips import Strips
 import numpy as np
 
-MODEL_ERROR_PX = 0.01  # straightness of a printed or cut edge, over one segment
+MODEL_ERROR_PX = 0.005  # straightness of a printed or cut edge, over one segment
 NOISE_FLOOR = 0.3  # mean squared grey level; rounding alone gives 1/12
 ROBUST_SIGMAS = 4.0  # where Tukey's weight ends
 INLIER_WEIGHT = 0.1
