@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import cv2
 from homography_servo.result import Rejected
 import numpy as np
 
@@ -50,7 +51,8 @@ def pose_of_face(points_m: np.ndarray, rays: np.ndarray, start: FacePose | None 
     rotation, translation = start.rotation, start.translation
     for _ in range(iterations):
         miss, jacobian = _linearise(points_m, rays, rotation, translation)
-        step = np.linalg.lstsq(jacobian, miss.ravel(), rcond=1e-9)[0]
+        step = cv2.solve(jacobian.T @ jacobian, jacobian.T @ miss.reshape(-1, 1),
+                         flags=cv2.DECOMP_CHOLESKY)[1][:, 0]
         rotation, translation = _turned(rotation, step[:3]), translation + step[3:]
         if not (np.isfinite(translation).all() and translation[2] > 1e-3):
             return Rejected('the pose of the face does not converge')

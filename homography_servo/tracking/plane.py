@@ -22,6 +22,9 @@ class Plane:
     def __init__(self, camera: Camera | None) -> None:
         self.camera = camera
         self.bent = camera is not None and camera.bends
+        if camera is not None:
+            self.focal = np.array([camera.fx, camera.fy])
+            self._centre = np.array([camera.cx, camera.cy])
         self._maps: tuple[np.ndarray, np.ndarray] | None = None
 
     def fits(self, shape: tuple[int, ...]) -> bool:
@@ -32,7 +35,7 @@ class Plane:
         """Straighten pixels (..., 2)."""
         if not self.bent:
             return points_px
-        return self.camera.rays(points_px) * self._focal + self._centre
+        return self.camera.rays(points_px) * self.focal + self._centre
 
     def to_image(self, points: np.ndarray) -> np.ndarray:
         """Bend points (..., 2) of the plane to where the camera shows them."""
@@ -42,17 +45,17 @@ class Plane:
 
     def rays(self, points: np.ndarray) -> np.ndarray:
         """Turn points (..., 2) of the plane into normalised coordinates."""
-        return (points - self._centre) / self._focal
+        return (points - self._centre) / self.focal
 
     def from_rays(self, rays: np.ndarray) -> np.ndarray:
         """Turn normalised coordinates (..., 2) into points of the plane."""
-        return rays * self._focal + self._centre
+        return rays * self.focal + self._centre
 
     def covariance_to_image(self, corners: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         """Carry the covariance (2m, 2m) of corners of the plane into the image."""
         if not self.bent:
             return covariance
-        local = self.camera.jacobian(self.rays(corners)) / self._focal
+        local = self.camera.jacobian(self.rays(corners)) / self.focal
         jacobian = np.zeros_like(covariance)
         for number, block in enumerate(local):
             part = slice(2 * number, 2 * number + 2)
@@ -70,11 +73,3 @@ class Plane:
             straight = np.where(np.isfinite(straight), straight, 1e6)
             self._maps = (straight[:, 0].copy(), straight[:, 1].copy())
         return self._maps
-
-    @property
-    def _focal(self) -> np.ndarray:
-        return np.array([self.camera.fx, self.camera.fy])
-
-    @property
-    def _centre(self) -> np.ndarray:
-        return np.array([self.camera.cx, self.camera.cy])

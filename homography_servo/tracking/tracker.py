@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from homography_servo.geometry.camera import Camera
 from homography_servo.result import Rejected
+from homography_servo.tracking.box import BoxSides
 from homography_servo.tracking.finder import find_face
 from homography_servo.tracking.motion import Motion
 from homography_servo.tracking.motion import shape_prior
@@ -88,6 +89,9 @@ class Tracker:
         """Forget the object and look for it again."""
         self._state = SEARCHING
         self._motion: Motion | None = None
+        self._box = None
+        if self.box_height_m > 0.0 and self.camera is not None:
+            self._box = BoxSides(self.face_size_m, self.box_height_m, self._plane)
         self._size: tuple[int, ...] | None = None
         self._confirmed = 0  # good frames since the face was found
         self._missed = 0
@@ -181,10 +185,13 @@ class Tracker:
     def _fit_fine(self, image: np.ndarray, prior: Prior) -> SnakeFit | Rejected:
         settings = self.settings
         look = Look(settings.edge_blur_px, settings.edge_half_px)
+        strips = None if self._box is None else self._box.strips(prior.corners)
         fit = fit_snake(image, prior.corners, look, self._plane, prior,
-                        POLARITIES[settings.polarity])
+                        POLARITIES[settings.polarity], strips)
         if isinstance(fit, Rejected):
             return fit
+        if self._box is not None:
+            self._box.learn(fit.edges, fit.weight, strips, look.half)
         doubt = self._doubt(fit)
         return fit if doubt is None else doubt
 

@@ -19,7 +19,7 @@ class TrackerSettings(Settings):
     edge_blur_px: float = real(
         0.6, 0.0, 6.0, 'px', 'standard deviation of the lens blur to begin with; it is '
         'estimated from the edges while tracking')
-    edge_half_px: int = whole(6, 3, 16, 'px', 'pixels read on either side of an edge')
+    edge_half_px: int = whole(5, 3, 16, 'px', 'pixels read on either side of an edge')
     search_px: float = real(
         24.0, 2.0, 100.0, 'px', 'how far from its prediction the face is looked for')
     polarity: str = text(

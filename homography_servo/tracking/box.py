@@ -1,0 +1,161 @@
+"""Where the sides of the box behind the face show, and how bright they are."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from homography_servo.geometry.face import face_corners
+from homography_servo.result import Rejected
+from homography_servo.tracking.edges import Edges
+from homography_servo.tracking.edges import middle
+from homography_servo.tracking.face_pose import FacePose
+from homography_servo.tracking.face_pose import pose_of_face
+from homography_servo.tracking.face_pose import project
+from homography_servo.tracking.face_pose import projection_jacobian
+from homography_servo.tracking.plane import Plane
+from homography_servo.tracking.scan import side_geometry
+from homography_servo.tracking.strips import NARROWEST_PX
+from homography_servo.tracking.strips import Strips
+import numpy as np
+
+FIRST_LEVEL, FIRST_SIGMA = 0.55, 0.2  # of a side, over that of the face
+DRIFT_SIGMA = 0.01  # per picture: the box turns in the light
+SURFACE_SIGMA = 0.03  # of a side that is seen well
+WIDTH_SIGMA_PX = 0.25  # of a strip, as the pose predicts it
+CORNER_MARGIN_PX = 2.5  # a corner where a side shows is left out by this
+CLEAR_PX = 1.5  # a side this much wider than the scan lines hides what is behind
+STEADY_STEPS = 2
+
+
+class Outline(NamedTuple):
+    """The box behind the face in one picture."""
+
+    pose: FacePose
+    width: np.ndarray  # (4, 2) of the strip beside each side, at its corners [px]
+    reach: np.ndarray  # (4, 2) where along the side these widths are, 0 to 1
+    rows: np.ndarray  # (4, 2, 8) change of the widths with the corners
+
+
+class BoxSides:
+    """
+    Predicts the strips beside the face, and learns their brightness.
+
+    Parameters
+    ----------
+    face_size_m : (float, float)
+        Width and height of the face.
+    height_m : float
+        How far the box reaches behind the face.
+    plane : Plane
+        With a calibrated camera.
+
+    """
+
+    def __init__(self, face_size_m: tuple[float, float], height_m: float, plane: Plane) -> None:
+        self._plane = plane
+        front = face_corners(*face_size_m)
+        self._front_m = front
+        self._all_m = np.vstack([front, front + (0.0, 0.0, height_m)])
+        self._pose: FacePose | None = None
+        self._level = np.full(4, FIRST_LEVEL)  # over that of the face
+        self._variance = np.full(4, FIRST_SIGMA ** 2)
+        self._inside: float | None = None
+        self._outside = np.zeros(4)
+
+    def strips(self, corners: np.ndarray) -> Strips | None:
+        """Predict the strips beside a face with these corners; None while nothing is known."""
+        if self._inside is None:
+            return None
+        outline = self.outline(corners)
+        if isinstance(outline, Rejected):
+            return None
+        self._pose = outline.pose
+        width, rows = _at_corners(outline)
+        shows = outline.width.max(axis=1) > NARROWEST_PX
+        width = np.where(shows[:, None], width, 0.0)
+        contrast = self._inside - self._outside
+        contrast = np.where(np.abs(contrast) < 1.0, 1.0, contrast)
+        level = (self._level * self._inside - self._outside) / contrast
+        return Strips(width, rows, np.minimum(np.maximum(level, -1.0), 2.0),
+                      self._spans(outline, corners, shows))
+
+    def outline(self, corners: np.ndarray) -> Outline | Rejected:
+        """Find the pose of the face and from it the outline of the box."""
+        pose = pose_of_face(self._front_m, self._plane.rays(corners), self._pose,
+                            STEADY_STEPS if self._pose is not None else 6)
+        if isinstance(pose, Rejected):
+            self._pose = None
+            return pose
+        focal = self._plane.focal
+        back = self._plane.from_rays(project(self._all_m[4:], pose.rotation, pose.translation))
+        slopes = focal[:, None] * projection_jacobian(self._all_m, pose.rotation,
+                                                      pose.translation)
+        pose_from_corners = np.linalg.pinv(slopes[:4].reshape(8, 6))
+        geometry = side_geometry(corners)
+        normal = np.column_stack([geometry.normal_u, geometry.normal_v])
+        behind, lag = back - corners, slopes[4:] - slopes[:4]
+        ends = np.stack([np.arange(4), np.array([1, 2, 3, 0])], axis=1)
+        width = -np.einsum('ik,ijk->ij', normal, behind[ends])
+        drift = np.einsum('ik,ijk->ij', geometry.edge, behind[ends])
+        reach = drift / geometry.length[:, None] ** 2 + (0.0, 1.0)
+        rows = -np.einsum('ik,ijkp->ijp', normal, lag[ends]) @ pose_from_corners
+        return Outline(pose, width, reach, rows)
+
+    def _spans(self, outline: Outline, corners: np.ndarray, shows: np.ndarray) -> np.ndarray:
+        """Leave out corners where a side shows: more than two surfaces meet there."""
+        margin = CORNER_MARGIN_PX / side_geometry(corners).length
+        spans = np.full((4, 2), (0.0, 1.0))
+        before, after = shows[[3, 0, 1, 2]], shows[[1, 2, 3, 0]]
+        low = np.where(shows, np.maximum(outline.reach[:, 0], 0.0), 0.0)
+        high = np.where(shows, np.minimum(outline.reach[:, 1], 1.0), 1.0)
+        low, high = low + margin * (shows | before), high - margin * (shows | after)
+        usable = high - low > 0.2
+        spans[usable] = np.column_stack([low, high])[usable]
+        return spans
+
+    def learn(self, edges: Edges, weight: np.ndarray, strips: Strips | None, half: int) -> None:
+        """Take in the grey levels that a good fit has found."""
+        good = weight > 0.1
+        if not good.any():
+            return
+        self._inside = middle((edges.outside + edges.contrast)[good])
+        self._variance = self._variance + DRIFT_SIGMA ** 2
+        for side in range(4):
+            own = good & (edges.side == side)
+            if own.any():
+                self._learn_side(side, edges, own, strips, half)
+
+    def _learn_side(self, side: int, edges: Edges, own: np.ndarray, strips: Strips | None,
+                    half: int) -> None:
+        outside = middle(edges.outside[own])
+        width = 0.0 if strips is None else float(strips.width[side].mean())
+        if width > half + CLEAR_PX:
+            self._update(side, outside / max(self._inside, 1.0), SURFACE_SIGMA ** 2)
+            return
+        self._outside[side] = outside
+        if edges.second is None:
+            return
+        second = edges.second
+        mine = own[second.segment] & (edges.side[second.segment] == side)
+        information = second.level_own[mine].sum()
+        if information > 1e-6:
+            level = self._level[side] + second.level_pull[mine].sum() / information \
+                / max(self._inside, 1.0)
+            step = WIDTH_SIGMA_PX / max(width, 0.3) * (level - outside / max(self._inside, 1.0))
+            noise = middle(edges.residual) / information / max(self._inside, 1.0) ** 2
+            self._update(side, level, noise + step * step + SURFACE_SIGMA ** 2)
+
+    def _update(self, side: int, level: float, variance: float) -> None:
+        gain = self._variance[side] / (self._variance[side] + variance)
+        self._level[side] += gain * (min(max(level, 0.0), 2.0) - self._level[side])
+        self._variance[side] *= 1.0 - gain
+
+
+def _at_corners(outline: Outline) -> tuple[np.ndarray, np.ndarray]:
+    """Carry the widths along their straight lines to the corners of the face."""
+    span = outline.reach[:, 1] - outline.reach[:, 0]
+    span = np.where(np.abs(span) < 1e-3, 1e-3, span)
+    share = (np.array([0.0, 1.0]) - outline.reach[:, :1]) / span[:, None]
+    width = outline.width[:, :1] + share * (outline.width[:, 1:] - outline.width[:, :1])
+    rows = outline.rows[:, :1] + share[:, :, None] * (outline.rows[:, 1:] - outline.rows[:, :1])
+    return width, rows
