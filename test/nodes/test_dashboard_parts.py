@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs ROS 2')
 pytest.importorskip('tornado', reason='the dashboard needs tornado (python3-tornado)')
 
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402 (after the check for ROS)
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402,I100
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from diagnostic_msgs.msg import KeyValue  # noqa: E402
 from homography_servo.nodes import dashboard_facts as facts  # noqa: E402
@@ -39,7 +39,8 @@ from tornado.websocket import websocket_connect  # noqa: E402
 
 @pytest.mark.parametrize('host, bound, allowed', [
     ('127.0.0.1:8088', '127.0.0.1', True), ('localhost:8088', '127.0.0.1', True),
-    ('localhost', '127.0.0.1', True), ('[::1]:8088', '::1', True), ('127.8.9.1', '127.0.0.1', True),
+    ('localhost', '127.0.0.1', True), ('[::1]:8088', '::1', True),
+    ('127.8.9.1', '127.0.0.1', True),
     ('evil.example:8088', '127.0.0.1', False), ('127.0.0.1.evil.example', '127.0.0.1', False),
     ('localhost.evil.example', '127.0.0.1', False), ('192.168.1.7:8088', '127.0.0.1', False),
     ('', '127.0.0.1', False), ('[broken', '127.0.0.1', False), ('@', '127.0.0.1', False),
@@ -301,7 +302,8 @@ def test_browsers_that_never_read_slow_nobody_and_cost_one_picture(site):
 
     delay_s = asyncio.run(asyncio.wait_for(watch(), 30.0))
     assert delay_s < 0.15
-    waiting = [browser.ws_connection.stream._write_buffer for browser in site.server._site.browsers]
-    assert sum(len(buffer) for buffer in waiting) <= BROWSERS * 1.1 * len(picture)
+    waiting = [len(browser.ws_connection.stream._write_buffer)
+               for browser in site.server._site.browsers]
+    assert sum(waiting) <= BROWSERS * 1.1 * len(picture)
     for raw in crowd:
         raw.close()

@@ -1,10 +1,10 @@
 // The page: one socket in, buttons out. Whatever comes is shown as text, never as markup.
 import { Picture } from './picture.js';
 import { COLORS, Plot } from './plot.js';
-import { showNodes, showVerdict } from './tables.js';
+import { showNodes, shown as shownNumber, showVerdict } from './tables.js';
 
 const TOKEN = document.querySelector('meta[name=token]').content;
-const KEPT = 6000, OLD_MS = 1000, TIRED_MS = 1000, ALIVE_MS = 3000;
+const KEPT = 6000, SHORTEST_S = 20, OLD_MS = 1000, TIRED_MS = 1000, ALIVE_MS = 3000;
 const byId = (id) => document.getElementById(id);
 const picture = new Picture(byId('view'));
 const plots = {
@@ -103,9 +103,10 @@ function showButtons() {
 }
 
 function drawCurves() {
-  const span = facts.span_s || 90;
-  const begin = samples.length ? samples[samples.length - 1][0] - span : 0;
-  const shown = samples.filter(([t]) => t >= begin);
+  const last = samples.length ? samples[samples.length - 1][0] : 0;
+  const age = samples.length ? last - samples[0][0] : 0;
+  const span = Math.min(Math.max(age, SHORTEST_S), facts.span_s || SHORTEST_S);
+  const shown = samples.filter(([t]) => t >= last - span - 0.2);
   const times = shown.map(([t]) => t);
   const names = facts.joint_names || [];
   const joints = names.map((_, k) => shown.map(([, j]) => (j ? j[k] ?? null : null)));
@@ -127,7 +128,7 @@ function showLegend(names, joints) {
     }
     const value = joints[k][joints[k].length - 1];
     list.children[k].lastChild.textContent =
-      `${name} ${value === null || value === undefined ? '–' : value.toFixed(1)}`;
+      `${name} ${shownNumber(value, 1)}`;
   });
 }
 
@@ -148,7 +149,7 @@ async function press(button) {
   const answer = byId('answer');
   if (name !== 'stop') button.disabled = true; // stop can always be pressed again
   answer.className = '';
-  answer.textContent = `${label} ...`;
+  answer.textContent = `${label} \u2026`;
   try {
     const reply = await fetch(`/press/${name}`, { method: 'POST', headers: { 'X-Token': TOKEN } });
     const { ok, message } = await reply.json();

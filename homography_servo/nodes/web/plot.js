@@ -2,6 +2,7 @@
 
 export const COLORS = ['#0072b2', '#e69f00', '#009e73', '#d55e00', '#cc79a7', '#56b4e9'];
 const STEPS = [1, 2, 5, 10];
+const SECONDS = [1, 2, 5, 10, 15, 20, 30, 60, 120, 180];
 
 function niceStep(span, count) {
   const raw = Math.max(span, 1e-9) / count;
@@ -78,7 +79,7 @@ export class Plot {
     }
     pen.textBaseline = 'top';
     pen.textAlign = 'center';
-    const tick = niceStep(span, 4);
+    const tick = SECONDS.find((s) => 4.5 * s >= span) || SECONDS[SECONDS.length - 1];
     for (let s = 0; s < span - 1e-9; s += tick) {
       pen.moveTo(x(last - s), box.top);
       pen.lineTo(x(last - s), box.bottom);

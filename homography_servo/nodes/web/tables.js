@@ -10,15 +10,15 @@ function make(tag, text, className) {
   return element;
 }
 
-function shown(value, digits, factor = 1) {
+export function shown(value, digits, factor = 1) {
   const number = Number.parseFloat(value);
   return Number.isFinite(number) ? (factor * number).toFixed(digits).replace('-', '\u2212') : '–';
 }
 
 function cells({ name, message, values: v }) {
   return [name.replace(/^.*pose /, ''), message, shown(v.border_px, 0), shown(v.facing_deg, 1),
-    v.nearest_limit || '–', shown(v.joint_margin_rad, 1, DEG), shown(v.joint_step_rad, 1, DEG),
-    shown(v.conditioning, 2), shown(v.ambiguity, 2)];
+    `${shown(v.joint_margin_rad, 1, DEG)} ${v.nearest_limit || ''}`,
+    shown(v.joint_step_rad, 1, DEG), shown(v.conditioning, 2), shown(v.ambiguity, 2)];
 }
 
 let filled = null; // the verdict whose rows are in the table
