@@ -119,11 +119,11 @@ class Port:
         self._baud = baud
         self.url = settings.port
         if settings.port == FAKE:
+            faults = [parse_fault(item) for item in settings.fake_faults]
             pty = PtyPort()
             self.url = pty.path
-            self._emulator = Emulator(
-                Device(servos, 'fake', tick_s), pty,
-                [parse_fault(item) for item in settings.fake_faults], settings.fake_log or None)
+            self._emulator = Emulator(Device(servos, 'fake', tick_s), pty, faults,
+                                      settings.fake_log or None)
             self._emulator.start()
 
     def open(self) -> Transport:
