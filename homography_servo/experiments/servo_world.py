@@ -14,6 +14,7 @@ import math
 from typing import Any, Callable
 
 from homography_servo.planning.arm_model import ArmModel
+from homography_servo.planning.control import move_time
 from homography_servo.planning.servo import Command
 from homography_servo.planning.servo import Servo
 from homography_servo.robot.robot_file import Robot
@@ -21,6 +22,7 @@ import numpy as np
 
 JOINT_PERIOD_S = 0.02
 TICK_S = 0.02
+CLEARLY_MOVING_RAD = 0.005  # in 40 ms: no servo can take this for rest
 
 # A measurement: home_from_object and its (6, 6) covariance, or None when nothing is seen.
 Measure = Callable[[np.ndarray], Any]
@@ -92,7 +94,7 @@ class ServoWorld:
         self.now_s, self.stamp_offset_s = 100.0, 1e6
         self.commands: list[tuple[float, Command]] = []
         self.states: list[tuple[float, str]] = []
-        self.frames = 0
+        self.trace: list[tuple[np.ndarray, np.ndarray]] = []  # true pose, joints, per frame
         self._motion = CubicMotion(joints_rad)
         self._command_delay_s, self._delay_s = command_delay_s, delay_s
         self._events: list[tuple[float, int, Callable[[], None]]] = []
@@ -128,6 +130,13 @@ class ServoWorld:
             raise ValueError(f'the servo does not start: {answer}')
         self.run(seconds, lambda: not self.servo.active)
 
+    def drive(self, joints_rad: np.ndarray) -> None:
+        """Move the arm from outside, as an operator does, and wait until it stands there."""
+        way = joints_rad - self._motion.at(self.now_s)
+        time_s = move_time(self.robot, way)
+        self._motion.go(Command(joints_rad, time_s), self.now_s, self.robot.acceleration_rad_s2)
+        self.run(time_s + 0.1)
+
     def _at(self, time_s: float, happen: Callable[[], None]) -> None:
         self._order += 1
         heapq.heappush(self._events, (time_s, self._order, happen))
@@ -156,12 +165,12 @@ class ServoWorld:
                                   self.now_s + self.stamp_offset_s, self.now_s)
 
     def _frame(self) -> None:
-        self.frames += 1
+        true_pose, stamp_s = self.true_pose, self.now_s + self.stamp_offset_s
+        self.trace.append((true_pose, self.joints_at(self.now_s)))
         if not self.see:
             return
-        true_pose, stamp_s = self.true_pose, self.now_s + self.stamp_offset_s
-        before, after = (self._motion.at(self.now_s + d) for d in (-1e-3, 1e-3))
-        moving = bool(np.abs(after - before).max() > 1e-7)
+        before, after = (self._motion.at(self.now_s + d) for d in (-0.02, 0.02))
+        moving = bool(np.abs(after - before).max() > CLEARLY_MOVING_RAD)
         seen = self.measure(true_pose) if self.measure_moving or not moving \
             else (true_pose, 1e-6 * np.eye(6))
         if seen is not None:

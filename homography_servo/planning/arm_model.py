@@ -85,6 +85,16 @@ class ArmModel:
     offset_rad: np.ndarray | float = 0.0
     right: np.ndarray = field(default_factory=lambda: np.eye(4))
 
+    @property
+    def corrected(self) -> Robot:
+        """Give the robot as a file would describe it with the errors taken in."""
+        offsets = np.broadcast_to(self.offset_rad, self.robot.count)
+        joints = tuple(replace(joint, theta0_rad=joint.theta0_rad + float(offset))
+                       for joint, offset in zip(self.robot.joints, offsets))
+        return replace(self.robot, joints=joints,
+                       home_from_base=self.left @ self.robot.home_from_base,
+                       tool_from_object=self.robot.tool_from_object @ self.right)
+
     def pose(self, setpoint: np.ndarray) -> np.ndarray:
         """Predict home_from_object at joints (..., n)."""
         return self.left @ object_pose(self.robot, setpoint + self.offset_rad) @ self.right

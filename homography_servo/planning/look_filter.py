@@ -116,13 +116,26 @@ class LookFilter:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all looks."""
+        """Forget all looks and the model that they made."""
         self.model = self._believed
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget how well the model is known, and keep it."""
         self._covariance = np.diag(self.model.variances(self._prior))
         self._last_setpoint: np.ndarray | None = None
         self._doubted = False
         self.looks = 0
+        self.misfit = 0.0  # minus twice the log-likelihood of all looks, up to a constant
         self.surprise = 0.0  # squared innovation over its expectation; about 1 when all is well
+
+    def begin(self, model: BodyModel, setpoint: np.ndarray, covariance: np.ndarray) -> None:
+        """Start from a model whose pose at a setpoint has this (6, 6) covariance; left error."""
+        self.reset()
+        self.model, self.looks = model, 1
+        left = np.linalg.inv(model.sensitivity(setpoint)[:, :6])
+        self._covariance[:6, :6] = left @ covariance @ left.T
+        self._last_setpoint = np.array(setpoint, dtype=float)
 
     def pose(self, setpoint: np.ndarray) -> np.ndarray:
         """Give home_from_object at a setpoint as the looks so far say it."""
@@ -190,7 +203,9 @@ class LookFilter:
         rays, by_error = self._expect(self.model, setpoint)
         innovation = look.rays - rays
         spread = by_error @ self._covariance @ by_error.T + look.covariance
-        self.surprise = float(innovation @ np.linalg.solve(spread, innovation)) / len(innovation)
+        squared = float(innovation @ np.linalg.solve(spread, innovation))
+        self.surprise = squared / len(innovation)
+        self.misfit += squared + float(np.linalg.slogdet(spread)[1])
         doubted, self._doubted = self._doubted, False
         if self.surprise <= WIDEN_ABOVE or not self.looks:
             return True

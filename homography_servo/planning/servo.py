@@ -41,6 +41,7 @@ ARRIVED_RAD = 1.2e-3  # a little over one unit of a hobby servo
 SHORTEST_MOVE_S = 0.04
 OVERDUE_S = 1.0
 RETRY_S = 1.0
+IDLE_LOOK_S = 0.1  # while nothing moves, a look now and then keeps the model right
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +104,7 @@ class Servo:
         self._target_rad: np.ndarray | None = None
         self._left_rad: np.ndarray | None = None  # where the joints were at the last command
         self._due_s = self._due_stamp_s = -math.inf
+        self._took_stamp_s = -math.inf
         self._retry_s = math.inf
         self._pending: Command | None = None
 
@@ -144,6 +146,7 @@ class Servo:
         rejected = joints.add(np.array(joints_rad, dtype=float), stamp_s, now_s)
         if not rejected and abs(stamp_s - before_s) > CLOCK_JUMP_S:
             self._due_stamp_s += stamp_s - before_s  # the clock was set: stay on its side
+            self._took_stamp_s = -math.inf
         return rejected
 
     def add_look(self, home_from_object: np.ndarray, covariance: np.ndarray, stamp_s: float,
@@ -165,9 +168,6 @@ class Servo:
         if trouble:
             return Rejected(trouble)
         self.watch.moved_unseen_rad()
-        self.filter = LookFilter(
-            ArmModel(self.robot), self.robot.object_points_m, self.robot.home_depth_m,
-            self.settings.prior, self.settings.drift)
         self._enter_looking()
         self._aim_at(-1)
         return f'on the way along {len(self._path)} poses'
@@ -191,7 +191,9 @@ class Servo:
 
     def tick(self, now_s: float) -> Command | None:
         """Go on as far as possible; give the command to send now, if any."""
-        if self.active and self._pending is None:
+        if not self.active:
+            self._take_looks(IDLE_LOOK_S)
+        elif self._pending is None:
             self._advance(now_s)
         command, self._pending = self._pending, None
         return command
@@ -247,15 +249,21 @@ class Servo:
         self.state, self.reason = LOOKING, ''
         self._attempt.looks_since_stop = 0
 
-    def _take_looks(self) -> bool:
-        """Feed the filter with looks at the standing arm; tell whether there were any."""
+    def _take_looks(self, apart_s: float = 0.0) -> bool:
+        """
+        Feed the filter with looks at the standing arm; tell whether there were any.
+
+        What is seen before the start counts too: if the arm stood at the goal to teach
+        it, the model is right there already.
+        """
         joints, taken = self.watch.joints, 0
         stood_s = max(joints.still_since_s, self._due_stamp_s)
         while self.watch.sight.queue:
             stamp_s, look = self.watch.sight.queue.popleft()
             setpoint = joints.at(stamp_s, ahead_s=self.settings.joint_timeout_s)
-            if stamp_s < stood_s or setpoint is None:
+            if stamp_s < max(stood_s, self._took_stamp_s + apart_s) or setpoint is None:
                 continue
+            self._took_stamp_s = stamp_s
             taken += self.filter.update(look, setpoint)
         self._attempt.looks += taken
         self._attempt.looks_since_stop += taken
