@@ -96,7 +96,8 @@ class Dashboard(NodeKit, Node):
         except ImportError as error:  # only this node needs a web server
             raise ConfigError(self.NAME, 0, '', f'{error}; install python3-tornado, or '
                               'tornado with pip') from error
-        host, port = self._settings.host, self._settings.port
+        settings = self._settings[DashboardSettings]
+        host, port = settings.host, settings.port
         try:
             return DashboardServer(self._board, Buttons(self).press, BUTTONS, host, port)
         except OSError as error:
@@ -115,8 +116,9 @@ class Dashboard(NodeKit, Node):
     # Inputs.
 
     def _on_parameters(self) -> None:
-        self._board.resize(int(self._settings.history_s / SAMPLE_S))
-        self._board.put('span_s', self._settings.history_s)
+        history_s = self._settings[DashboardSettings].history_s
+        self._board.resize(int(history_s / SAMPLE_S))
+        self._board.put('span_s', history_s)
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         for name, fact in node_facts(msg).items():
@@ -151,7 +153,7 @@ class Dashboard(NodeKit, Node):
 
     def _on_image(self, data: bytes) -> None:
         """Send a picture on; the others are dropped before they cost anything."""
-        now_s, settings = time.monotonic(), self._settings
+        now_s, settings = time.monotonic(), self._settings[DashboardSettings]
         if now_s < self._due_s:
             return
         self._due_s = max(self._due_s + 1.0 / settings.image_rate_hz, now_s)

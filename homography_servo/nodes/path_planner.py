@@ -30,6 +30,9 @@ from homography_servo.nodes.path_messages import image_path_msg
 from homography_servo.nodes.path_messages import predicted_trajectory_msg
 from homography_servo.nodes.path_messages import verdict_msg
 from homography_servo.nodes.run import run_node
+from homography_servo.nodes.transforms import camera_frames
+from homography_servo.nodes.transforms import Frame
+from homography_servo.nodes.transforms import Transforms
 from homography_servo.places import find_config
 from homography_servo.planning.desk import PlanningDesk
 from homography_servo.planning.observer_settings import ObserverSettings
@@ -83,6 +86,7 @@ class PathPlanner(NodeKit, Node):
                                   self._settings[ObserverSettings])
         self._last_sentence = 'no plan yet'
         self._publish_to()
+        self._transforms = Transforms(self, camera_frames(self._desk.home_depth_m))
         self._listen_to()
         self.start_kit()
 
@@ -129,6 +133,7 @@ class PathPlanner(NodeKit, Node):
         header = Header(stamp=msg.header.stamp, frame_id='home')
         self._pose.publish(pose_covariance_msg(
             estimate.home_from_object, estimate.covariance, header))
+        self._transforms.send([Frame('home', 'object', estimate.home_from_object)], header.stamp)
         self._candidates.publish(pose_array_msg(
             [candidate.home_from_object for candidate in estimate.candidates], header))
 

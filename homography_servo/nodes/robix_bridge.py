@@ -20,6 +20,8 @@ from homography_servo.nodes.kit import OK
 from homography_servo.nodes.kit import WARN
 from homography_servo.nodes.parameters import Parameters
 from homography_servo.nodes.run import run_node
+from homography_servo.nodes.transforms import fixed_frames
+from homography_servo.nodes.transforms import Transforms
 from homography_servo.places import find_config
 from homography_servo.result import Rejected
 from homography_servo.robot.arm_thread import ArmThread
@@ -103,6 +105,7 @@ class RobixBridge(NodeKit, LifecycleNode):
         self._state = self.latched(String, '~/state')
         self._description = self.latched(String, 'robot_description')
         self._description.publish(String(data=urdf_text(self._robot)))
+        self._transforms = Transforms(self, fixed_frames(self._robot))
         self.listen(JointTrajectory, 'joint_trajectory', self._on_trajectory, COMMANDS)
         self.listen(JointState, 'joint_commands', self._on_command, COMMANDS)
         self.serve(Trigger, '~/stop', self._on_stop)
@@ -304,6 +307,7 @@ class RobixBridge(NodeKit, LifecycleNode):
             header = Header(stamp=self.get_clock().now().to_msg(), frame_id='base_link')
             self._states.publish(joint_state_msg(self._robot.joint_names, arm.positions,
                                                  header, arm.velocities))
+            self._transforms.send_arm(self._robot, arm.positions, header.stamp)
 
     def _publish_state(self) -> None:
         state = self._driver.state if self._driver else 'DISCONNECTED'
