@@ -4,8 +4,9 @@ An independent, exhaustive opinion on vetoes: a second search for a way.
 A roadmap covers the joint space of an arm with random postures that keep every limit
 and joins neighbours wherever the straight way between them keeps them too. Two
 postures that hang on different parts of it cannot be joined by any path this dense a
-search can find. It knows nothing of start, goal or planner, and asks for the
-determinant to keep its sign from sample to sample, so no singularity is stepped over.
+search can find. It knows nothing of start, goal or planner. Where singularities
+may not be passed, the determinant has to keep its sign from sample to sample, so that
+none is stepped over.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import NamedTuple
 
 from homography_servo.geometry.camera import Camera
 from homography_servo.planning.feasibility import look
-from homography_servo.planning.settings import FeasibilitySettings
+from homography_servo.planning.settings import PlannerSettings
 from homography_servo.robot.kinematics import inverse
 from homography_servo.robot.kinematics import object_jacobian
 from homography_servo.robot.kinematics import object_pose
@@ -50,8 +51,8 @@ class Roadmap:
         The arm.
     camera : Camera
         What has to see the object.
-    settings : FeasibilitySettings
-        The limits of the verdict.
+    settings : PlannerSettings
+        The limits of the verdict, and whether singularities may be passed.
     nodes : int
         Number of postures; more find narrower ways.
     seed : int
@@ -60,11 +61,13 @@ class Roadmap:
     """
 
     def __init__(self, robot: Robot, camera: Camera,
-                 settings: FeasibilitySettings = FeasibilitySettings(), nodes: int = NODES,
+                 settings: PlannerSettings = PlannerSettings(), nodes: int = NODES,
                  seed: int = 0) -> None:
         self._robot, self._camera, self._settings = robot, camera, settings
+        self._through = settings.pass_singularities
         self.limits = Limits(settings.joint_margin_rad, settings.field_margin_px,
-                             -np.radians(settings.facing_limit_deg), settings.conditioning_min)
+                             -np.radians(settings.facing_limit_deg),
+                             -np.inf if self._through else settings.conditioning_min)
         self.nodes = self._postures(nodes, np.random.default_rng(seed))
         self._tree = cKDTree(self.nodes)
         self.part = self._parts()
@@ -124,7 +127,8 @@ class Roadmap:
             free, sign = self._free(joints, limits)
             flips = (sign[1:] * sign[:-1] < 0.0) & (owner[1:] == owner[:-1])
             good[owner[~free]] = False
-            good[owner[1:][flips]] = False
+            if not self._through:
+                good[owner[1:][flips]] = False
         return good
 
     def _free(self, joints_rad: np.ndarray, limits: Limits) -> tuple[np.ndarray, np.ndarray]:

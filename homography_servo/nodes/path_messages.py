@@ -54,11 +54,14 @@ def _single(verdict: Verdict, k: int, joint_names: tuple[str, ...] | None) -> Di
         facts.update(
             reached=bool(values.reached[k]), nearest_limit=joint_names[values.joint_index[k]],
             joint_margin_rad=float(values.joint_margin_rad[k]),
-            conditioning=float(values.conditioning[k]),
+            conditioning=float(values.conditioning[k]), led=bool(values.led[k]),
             joint_step_rad=float(values.joint_step_rad[k]))
     level, sentence = OK, 'ok'
     if verdict.reasons[k]:
         level, sentence = ERROR, verdict.reasons[k]
+    elif values.led[k]:
+        level = WARN
+        sentence = 'near a singularity of the arm: the planned joints lead'
     elif values.ambiguity[k] > AMBIGUOUS:
         level = WARN
         sentence = f'its mirror looks nearly the same (ambiguity {facts["ambiguity"]:.2f})'

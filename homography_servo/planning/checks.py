@@ -100,19 +100,26 @@ def check_agreement(poses: np.ndarray, believed: np.ndarray,
 
 
 def judge_joints(robot: Robot, followed: Followed, values: PoseValues,
-                 settings: FeasibilitySettings) -> tuple[PoseValues, list[Check]]:
-    """Add what the joints along the path say to the values, and judge it."""
+                 settings: FeasibilitySettings, led: bool) -> tuple[PoseValues, list[Check]]:
+    """
+    Add what the joints along the path say to the values, and judge it.
+
+    Where joints lead the way (`led`), a singularity does no harm: the joints are known
+    there and need not be found from the pose.
+    """
     joints = followed.joints_rad
     room = np.minimum(joints - robot.lower_rad, robot.upper_rad - joints)
     index = np.argmin(room, axis=1)
     step = np.abs(np.diff(joints, axis=0, append=joints[-1:]))
+    found = conditioning(robot, joints, settings.conditioning_length_m)
+    found = np.abs(found) if led else found
     values = values._replace(
         reached=followed.reached, joint_index=index, joint_step_rad=step.max(axis=1),
-        joint_margin_rad=room.min(axis=1),
-        conditioning=conditioning(robot, joints, settings.conditioning_length_m))
-    return values, [
-        _reach(followed), _limits(robot, joints, values, settings),
-        _condition(values, settings), _steps(robot, step, values, settings)]
+        joint_margin_rad=room.min(axis=1), conditioning=found,
+        led=led & (found < settings.conditioning_min))
+    checks = [_reach(followed), _limits(robot, joints, values, settings),
+              _steps(robot, step, values, settings)]
+    return values, checks if led else [*checks, _condition(values, settings)]
 
 
 def conditioning(robot: Robot, joints_rad: np.ndarray, length_m: float) -> np.ndarray:

@@ -17,6 +17,7 @@ from homography_servo.planning.checks import judge_joints
 from homography_servo.planning.checks import Seen
 from homography_servo.planning.follow import arm_poses
 from homography_servo.planning.follow import follow
+from homography_servo.planning.follow import Followed
 from homography_servo.planning.mirror import predicted_ambiguity
 from homography_servo.planning.settings import FeasibilitySettings
 from homography_servo.planning.verdict import Check
@@ -44,7 +45,8 @@ def look(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
 
 def check_path(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
                robot: Robot | None = None, start_joints_rad: np.ndarray | None = None,
-               settings: FeasibilitySettings = FeasibilitySettings()) -> Verdict:
+               settings: FeasibilitySettings = FeasibilitySettings(),
+               leading_joints_rad: np.ndarray | None = None) -> Verdict:
     """
     Judge a path.
 
@@ -62,6 +64,9 @@ def check_path(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
         Joints at the first pose; needed with a robot.
     settings : FeasibilitySettings
         The limits.
+    leading_joints_rad : (N, n) array, optional
+        Joints along the path where it was planned in joint space; they lead through
+        singularities. By default joints are found by following the poses.
 
     Returns
     -------
@@ -75,12 +80,20 @@ def check_path(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
     joints_rad, note = None, ''
     if robot is not None:
         believed = arm_poses(robot, poses, start_joints_rad)
-        followed = follow(robot, believed, start_joints_rad, (
-            settings.reach_tolerance_m, settings.reach_tolerance_rad))
-        values, more = judge_joints(robot, followed, values, settings)
+        led = leading_joints_rad is not None
+        followed = _as_led(leading_joints_rad, poses) if led else follow(
+            robot, believed, start_joints_rad,
+            (settings.reach_tolerance_m, settings.reach_tolerance_rad))
+        values, more = judge_joints(robot, followed, values, settings, led)
         checks += [check_agreement(poses, believed, settings), *more]
         joints_rad, note = followed.joints_rad, _arm_note(robot, values)
     return _conclude(checks, values, joints_rad, note)
+
+
+def _as_led(joints_rad: np.ndarray, poses: np.ndarray) -> Followed:
+    if len(joints_rad) != len(poses):
+        raise ValueError(f'leading_joints_rad must have {len(poses)} rows, got {len(joints_rad)}')
+    return Followed(np.asarray(joints_rad, dtype=float), np.ones(len(poses), dtype=bool), 0.0, 0.0)
 
 
 def goal_fault(goal: np.ndarray, camera: Camera, object_points_m: np.ndarray,
@@ -105,7 +118,8 @@ def _view(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray, depth_
     blank = np.full(len(poses), np.nan)
     return checks, PoseValues(
         seen.border_px.min(axis=1), seen.facing_rad, np.zeros(len(poses), dtype=bool), blank,
-        np.zeros(len(poses), dtype=int), blank, blank, ambiguity)
+        np.zeros(len(poses), dtype=int), blank, np.zeros(len(poses), dtype=bool), blank,
+        ambiguity)
 
 
 def _checked(poses: np.ndarray, robot: Robot | None, start: np.ndarray | None) -> np.ndarray:
@@ -123,9 +137,13 @@ def _checked(poses: np.ndarray, robot: Robot | None, start: np.ndarray | None) -
 def _arm_note(robot: Robot, values: PoseValues) -> str:
     k = int(np.argmin(values.joint_margin_rad))
     name = robot.joint_names[values.joint_index[k]]
-    return (f', {name} comes within {np.degrees(values.joint_margin_rad[k]):.1f} deg of '
-            f'its limit at pose {k + 1}, smallest singular value '
-            f'{values.conditioning.min():.3f}')
+    note = (f', {name} comes within {np.degrees(values.joint_margin_rad[k]):.1f} deg of its '
+            f'limit at pose {k + 1}, smallest singular value {values.conditioning.min():.3f}')
+    led = np.flatnonzero(values.led) + 1
+    if not len(led):
+        return note
+    return note + (f'; a singularity of the arm is passed at poses {led[0]} to {led[-1]}, where '
+                   'the planned joints lead')
 
 
 def _conclude(checks: list[Check], values: PoseValues, joints_rad: np.ndarray | None,

@@ -2,8 +2,9 @@
 Joint configurations that may be passed, and the search for a way through them.
 
 A configuration is free when it keeps the joint margins, is on the start's side of every
-singularity, and shows the object to the camera as the verdict demands it. The search is
-a pair of trees that grow towards each other (RRT-Connect), then shortcuts.
+singularity (unless singularities may be passed), and shows the object to the camera as
+the verdict demands it. The search is a pair of trees that grow towards each other
+(RRT-Connect), then shortcuts.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 RESOLUTION_RAD = 0.05
 STRIDE_RAD = 0.4
 SHORTCUTS = 60
-_SPARE = 1.02  # ask a little more than the verdict, which looks at other samples
+SPARES = (1.02, 1.4, 2.0)  # ask more than the verdict, which looks at other samples
 
 
 class Values(NamedTuple):
@@ -39,14 +40,15 @@ class JointSpace:
     """
     The free configurations of one planning task.
 
-    On the way a little more is asked than the verdict does, which looks at other
-    samples, but never more than start and goals have.
+    On the way `spare` times as much is asked as the verdict does, which looks at other
+    samples, but never more than start and goals have. With `through`, singularities
+    do not count.
     """
 
-    def __init__(self, task: Task) -> None:
-        self._task = task
+    def __init__(self, task: Task, spare: float = SPARES[0], through: bool = False) -> None:
+        self._task, self.through = task, through
         limits = task.settings
-        self._sign = self._side(task.joints_rad[None])[1][0]
+        self._sign = 1.0 if through else self._side(task.joints_rad[None])[1][0]
         asked = Values(limits.joint_margin_rad, limits.field_margin_px,
                        -np.radians(limits.facing_limit_deg), limits.conditioning_min)
         start = self.values(task.joints_rad[None])
@@ -54,12 +56,17 @@ class JointSpace:
         found = self.values(task.goal_branches)
         good = found.reach(self.limits)
         self.goals = task.goal_branches[good]
-        more = Values(limits.joint_margin_rad * _SPARE, limits.field_margin_px + 1.0,
-                      -np.radians(limits.facing_limit_deg) * 0.99,
-                      limits.conditioning_min * _SPARE)
+        more = Values(limits.joint_margin_rad * spare, limits.field_margin_px * spare + 1.0,
+                      -np.radians(limits.facing_limit_deg) / spare,
+                      limits.conditioning_min * spare)
         self._passing = Values(*(
             min(limit, float(v[0]), float(np.min(g[good], initial=np.inf)))
             for limit, v, g in zip(more, start, found)))
+
+    @property
+    def suffix(self) -> str:
+        """Tell in names of ways whether singularities are passed."""
+        return ' through a singularity' if self.through else ''
 
     @cached_property
     def lower_rad(self) -> np.ndarray:
@@ -111,9 +118,14 @@ class JointSpace:
         seen = look(task.poses_of(joints_rad), task.camera, task.object_points_m,
                     task.home_depth_m)
         room = np.minimum(joints_rad - task.robot.lower_rad, task.robot.upper_rad - joints_rad)
-        smallest, sign = self._side(joints_rad)
         return Values(room.min(axis=1), seen.border_px.min(axis=1), -seen.facing_rad,
-                      np.where(sign * self._sign < 0.0, -smallest, smallest))
+                      self._off_singularity(joints_rad))
+
+    def _off_singularity(self, joints_rad: np.ndarray) -> np.ndarray:
+        if self.through:
+            return np.full(len(joints_rad), np.inf)
+        smallest, sign = self._side(joints_rad)
+        return np.where(sign * self._sign < 0.0, -smallest, smallest)
 
     def _side(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         length_m = self._task.settings.conditioning_length_m

@@ -3,7 +3,9 @@ A path from here to the goal: the paper's, or the first repair that can be execu
 
 The order is fixed: the paper's path; the other turn of gamma; the same path on another
 branch of the inverse kinematics; the other families; via-poses; a path in joint space,
-checked in the image. Each is checked in full, and the same input gives the same plan.
+checked in the image; at last one in joint space that passes a singularity of the arm,
+where the planned joints lead. Each is checked in full, and the same input gives the
+same plan.
 """
 
 from __future__ import annotations
@@ -12,8 +14,10 @@ from dataclasses import dataclass
 from typing import Iterator
 
 from homography_servo.geometry.camera import Camera
+from homography_servo.planning.repair import divided
 from homography_servo.planning.repair import hopeless
 from homography_servo.planning.repair import REPAIRS
+from homography_servo.planning.repair import through_singularity
 from homography_servo.planning.settings import PlannerSettings
 from homography_servo.planning.task import Proposal
 from homography_servo.planning.task import Task
@@ -24,6 +28,7 @@ import numpy as np
 
 FIRST = "the paper's path"
 NO_OTHER = 'any other way'
+SAME_SIDE = 'any way that keeps off singularities'
 
 
 @dataclass(frozen=True)
@@ -60,7 +65,7 @@ class Plan:
         if self.ok:
             return (f'repaired by {self.family}: {self.verdict.sentence}; {first.name} failed: '
                     f'{first.sentence}')
-        if self.attempts[-1].name == NO_OTHER:
+        if self.attempts[-1].name in (NO_OTHER, SAME_SIDE):
             return (f'no path can be executed: {self.attempts[-1].sentence}; {first.name} '
                     f'fails at {first.sentence}')
         others = f', {len(self.attempts)} ways tried' if len(self.attempts) > 1 else ''
@@ -113,7 +118,7 @@ def _best(task: Task, first: np.ndarray) -> Plan:
         if proposal.poses is None:
             attempts.append(Attempt(proposal.name, False, proposal.reason))
             continue
-        verdict = task.check(proposal.poses)
+        verdict = task.check(proposal)
         attempts.append(Attempt(proposal.name, verdict.ok, verdict.sentence))
         if best is None or verdict.ok or _further(verdict, best[0]):
             best = (verdict, proposal)
@@ -147,10 +152,15 @@ def _proposals(task: Task, first: np.ndarray) -> Iterator[Proposal]:
         return
     reason = hopeless(task)
     if reason:
-        yield Proposal(NO_OTHER, None, reason)
+        yield Proposal(NO_OTHER, None, reason=reason)
         return
-    for method in REPAIRS:
+    reason = '' if task.robot is None else divided(task)
+    if reason:
+        yield Proposal(SAME_SIDE, None, reason=reason)
+    for method in () if reason else REPAIRS:
         yield from method(task)
+    if task.robot is not None and task.settings.pass_singularities:
+        yield from through_singularity(task)
 
 
 def _further(verdict: Verdict, other: Verdict) -> bool:

@@ -14,6 +14,7 @@ from homography_servo.planning.feasibility import goal_fault
 from homography_servo.planning.joint_space import JointSpace
 from homography_servo.planning.joint_space import search
 from homography_servo.planning.joint_space import shortened
+from homography_servo.planning.joint_space import SPARES
 from homography_servo.planning.joint_space import spread
 from homography_servo.planning.task import Proposal
 from homography_servo.planning.task import shared_out
@@ -37,7 +38,15 @@ def hopeless(task: Task) -> str:
         return ''
     if len(task.goal_branches) == 0:
         return 'no joints inside the limits put the object at the goal'
-    space = JointSpace(task)
+    return _all_faults(task, JointSpace(task, through=True))
+
+
+def divided(task: Task) -> str:
+    """Say why no path can help that keeps off singularities, empty if one might."""
+    return _all_faults(task, JointSpace(task))
+
+
+def _all_faults(task: Task, space: JointSpace) -> str:
     faults = [space.fault(joints_rad) for joints_rad in task.goal_branches]
     if not all(faults):
         return ''
@@ -71,7 +80,7 @@ def other_branch(task: Task) -> Iterator[Proposal]:
     space = JointSpace(task)
     usable = [b for b in branches if space.free(b)[0] and space.open(task.joints_rad, b)]
     if not usable:
-        yield Proposal(name, None, (
+        yield Proposal(name, None, reason=(
             f'{len(branches)} other branches at the start, none can be gone over to without '
             'a singularity, a limit or leaving the view'))
     path = task.path()
@@ -139,27 +148,44 @@ def joint_space(task: Task) -> Iterator[Proposal]:
     """Plan in joint space: straight to each way to hold the goal, then by search."""
     if task.robot is None:
         return
-    space = JointSpace(task)
+    yield from _straight(task, JointSpace(task))
+    for spare in SPARES:
+        yield _searched(task, JointSpace(task, spare))
+
+
+def through_singularity(task: Task) -> Iterator[Proposal]:
+    """Plan in joint space with no regard to singularities; the joints lead the way."""
+    for spare in SPARES:
+        space = JointSpace(task, spare, through=True)
+        if spare == SPARES[0]:
+            yield from _straight(task, space)
+        yield _searched(task, space)
+
+
+def _straight(task: Task, space: JointSpace) -> Iterator[Proposal]:
     for number, goal in enumerate(space.goals):
-        yield _along(task, np.array([task.joints_rad, goal]),
-                     f'a straight path in joint space (branch {number + 1})')
+        yield _along(task, space, np.array([task.joints_rad, goal]),
+                     f'a straight path in joint space{space.suffix} (branch {number + 1})')
+
+
+def _searched(task: Task, space: JointSpace) -> Proposal:
+    name = f'a searched path in joint space{space.suffix}'
     rng = np.random.default_rng(task.settings.seed)
-    name = 'a searched path in joint space'
     way = search(space, task.joints_rad, space.goals, task.settings.search_nodes, rng)
-    if way is None:
-        yield Proposal(name, None, (
-            f'no way found with {task.settings.search_nodes} tries that stays in view, inside '
-            'the joint limits and off singularities'))
-    else:
-        yield _along(task, shortened(space, way, rng), name)
+    if way is not None:
+        return _along(task, space, shortened(space, way, rng), name)
+    return Proposal(name, None, reason=(
+        f'no way found with {task.settings.search_nodes} tries that stays in view and inside '
+        f'the joint limits{"" if space.through else " and off singularities"}'))
 
 
-def _along(task: Task, way: np.ndarray, name: str) -> Proposal:
+def _along(task: Task, space: JointSpace, way: np.ndarray, name: str) -> Proposal:
     length = np.abs(np.diff(way, axis=0)).max(axis=1).sum()
     count = max(task.count, int(np.ceil(length / (0.8 * task.settings.joint_step_rad))) + 1)
-    poses = task.poses_of(spread(way, count))
+    joints_rad = spread(way, count)
+    poses = task.poses_of(joints_rad)
     poses[0], poses[-1] = task.start, task.goal
-    return Proposal(name, poses)
+    return Proposal(name, poses, joints_rad if space.through else None)
 
 
 REPAIRS: tuple[Callable[[Task], Iterator[Proposal]], ...] = (

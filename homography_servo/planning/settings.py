@@ -63,6 +63,8 @@ class PlannerSettings(FeasibilitySettings):
     step_max_px: float = real(
         20.0, 0.1, 500.0, 'px', 'largest motion of a corner between poses when poses is 0')
     repair: bool = flag(True, 'try to repair a path that is vetoed')
+    pass_singularities: bool = flag(
+        True, 'as a last resort pass through a singularity of the arm, led by the planned joints')
     via_tries: int = whole(24, 0, 1000, '', 'via-poses that are tried')
     search_nodes: int = whole(
         1500, 0, 100000, '', 'joint configurations that the search in joint space may try')

@@ -29,6 +29,7 @@ class Proposal(NamedTuple):
 
     name: str
     poses: np.ndarray | None  # (N, 4, 4) home_from_object
+    joints_rad: np.ndarray | None = None  # (N, n) where they lead the way
     reason: str = ''
 
 
@@ -49,10 +50,10 @@ class Task:
         """Depth of the virtual home pose."""
         return self.settings.home_depth_m if self.robot is None else self.robot.home_depth_m
 
-    def check(self, poses: np.ndarray) -> Verdict:
+    def check(self, proposal: Proposal) -> Verdict:
         """Judge a path in full."""
-        return check_path(poses, self.camera, self.object_points_m, self.robot,
-                          self.joints_rad, self.settings)
+        return check_path(proposal.poses, self.camera, self.object_points_m, self.robot,
+                          self.joints_rad, self.settings, proposal.joints_rad)
 
     def path(self, family: str = 'paper', turn: str = 'shorter') -> np.ndarray | Rejected:
         """Interpolate from the start to the goal, with as many poses as asked for."""

@@ -17,6 +17,7 @@ class PoseValues(NamedTuple):
     joint_margin_rad: np.ndarray  # smallest distance to a joint limit, negative beyond
     joint_index: np.ndarray  # int: the joint that is nearest to its limit
     conditioning: np.ndarray  # smallest singular value, negative beyond a singularity
+    led: np.ndarray  # bool: near a singularity, to be passed by the planned joints
     joint_step_rad: np.ndarray  # largest joint motion to the next pose, 0 at the last
     ambiguity: np.ndarray  # of the mirror pose, 0 certain to 1 toss-up
 
