@@ -119,14 +119,21 @@ def _crossings(gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.nonzero(gap[:, :-1] * gap[:, 1:] <= 0.0)
 
 
-def _dips(gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find samples where the gap comes near zero and turns back: two roots, or one, or none."""
-    size = np.abs(gap)
-    with np.errstate(invalid='ignore'):
-        lowest = (size[:, 1:-1] <= size[:, :-2]) & (size[:, 1:-1] <= size[:, 2:])
-        same = (gap[:, :-2] * gap[:, 1:-1] > 0.0) & (gap[:, 1:-1] * gap[:, 2:] > 0.0)
+def _dips(gap: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Find where the gap comes near zero and turns back: two roots, or one, or none.
+
+    Gives the choice, and the samples before and after. At the end of what joint 3 reaches
+    the last sample is one of the two.
+    """
+    known = ~np.isnan(gap)
+    size = np.where(known, np.abs(gap), np.inf)
+    sign = np.where(known, np.sign(gap), 0.0)
+    lowest = known[:, 1:-1] & (size[:, 1:-1] <= size[:, :-2]) & (size[:, 1:-1] <= size[:, 2:])
+    same = (sign[:, :-2] * sign[:, 1:-1] >= 0.0) & (sign[:, 1:-1] * sign[:, 2:] >= 0.0)
     rows, columns = np.nonzero(lowest & same)
-    return rows, columns + 1
+    before, after = known[rows, columns], known[rows, columns + 2]
+    return rows, np.where(before, columns, columns + 1), columns + np.where(after, 2, 1)
 
 
 def _bottoms(robot: Robot, pose: _Pose, choice: np.ndarray, low: np.ndarray,
@@ -213,11 +220,11 @@ def yaw_pitch_candidates(robot: Robot, base_from_tool: np.ndarray) -> np.ndarray
     psi = _grid(robot, pose)
     gap = _posture(robot, pose, psi[None, :], _CHOICES[:, None, :]).gap
     rows, columns = _crossings(gap)
-    dip_rows, dips = _dips(gap)
-    bottom = _bottoms(robot, pose, _CHOICES[dip_rows], psi[dips - 1], psi[dips + 1])
+    dip_rows, before, after = _dips(gap)
+    bottom = _bottoms(robot, pose, _CHOICES[dip_rows], psi[before], psi[after])
     choice = _CHOICES[np.concatenate([rows, dip_rows, dip_rows])]
-    low = np.concatenate([psi[columns], psi[dips - 1], bottom])
-    high = np.concatenate([psi[columns + 1], bottom, psi[dips + 1]])
+    low = np.concatenate([psi[columns], psi[before], bottom])
+    high = np.concatenate([psi[columns + 1], bottom, psi[after]])
     root, gap_m = _secants(robot, pose, choice, low, high)
     near = np.abs(gap_m) < _NEAR_M
     return _joints(robot, pose, root[near], choice[near])

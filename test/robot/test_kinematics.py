@@ -163,7 +163,8 @@ def test_every_branch_of_an_arm_with_wide_limits():
     assert most >= 4
 
 
-@pytest.mark.parametrize('index, angle', [(1, 0.0), (2, 0.0), (2, np.pi / 2 - 1e-4), (4, 0.0)])
+@pytest.mark.parametrize('index, angle', [
+    (1, 0.0), (1, 1e-3), (2, 0.0), (2, np.pi / 2 - 1e-4), (2, 1.54), (2, -1.53), (4, 0.0)])
 def test_postures_where_branches_meet(index, angle):
     """At a singular posture the object pose still has its posture, to what it can be told."""
     robot = wide(ROBOT)
