@@ -125,12 +125,13 @@ def read_values(path: str | Path) -> Value:
 
     """
     try:
-        text = Path(path).read_text(encoding='utf-8')
+        with open(path, encoding='utf-8') as file:
+            text = file.read(_SIZE_LIMIT + 1)
     except (OSError, UnicodeDecodeError) as problem:
         reason = getattr(problem, 'strerror', None) or str(problem)
         raise ConfigError(path, 0, '', f'cannot be read: {reason}') from None
     if len(text) > _SIZE_LIMIT:
-        raise ConfigError(path, 0, '', f'is too large, {len(text)} characters')
+        raise ConfigError(path, 0, '', f'is larger than {_SIZE_LIMIT} characters')
     return _compose(path, text)
 
 

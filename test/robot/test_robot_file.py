@@ -107,6 +107,7 @@ def test_missing_keys_are_found_at_every_level(tmp_path):
     ('? [1, 2]\n: 3\n', 'unknown key'),
     ('[' * 5000, 'nested too deeply|not valid YAML'),
     ('name: a\n---\nname: b\n', 'not valid YAML'),
+    ('# much\n' * 200_000, 'is larger than 1000000 characters'),
 ])
 def test_what_is_no_robot_file(tmp_path, text, reason):
     assert re.search(reason, refused(tmp_path, text).reason)
