@@ -69,8 +69,8 @@ class Dashboard(NodeKit, Node):
 
     def __init__(self, **kwargs) -> None:
         super().__init__(self.NAME, **kwargs)
-        self._tuning = Parameters(self, *self.SETTINGS)
-        self._tuning.on_change(self._on_parameters)
+        self._settings = Parameters(self, *self.SETTINGS)
+        self._settings.on_change(self._on_parameters)
         self._board = Board(1)
         self._on_parameters()
         self._images: Any = None
@@ -83,10 +83,6 @@ class Dashboard(NodeKit, Node):
         self.start_kit()
         self._server.start()
         self.get_logger().info(f'open {self._server.url} in a browser')
-
-    @property
-    def _settings(self) -> DashboardSettings:
-        return self._tuning[DashboardSettings]
 
     def _serve_page(self) -> Any:
         try:
