@@ -1,9 +1,10 @@
 """
 Find the face in a picture without being told where it is.
 
-Bright and dark regions at several thresholds, and regions that edges enclose, whose
-outline is close to a convex quadrilateral are candidates. Each is fitted like in
-tracking and must look like the projection of a rectangle of the known proportions.
+Quadrilaterals are ranked by quick looks at the grey levels along their sides; the best
+are fitted like in tracking, must be the projection of a rectangle of the known size
+within reach, and are ranked again by how well edges, evenness, pose and the sides of
+the box behind them agree.
 
 A rectangle looks the same after half a turn. Which corner comes first is decided by
 the expected corners where they are given, else by taking the turn whose top side
@@ -12,38 +13,58 @@ points most to the right (gamma closest to 0).
 
 from __future__ import annotations
 
-from typing import Iterator, NamedTuple
+from typing import NamedTuple
 
-import cv2
 from homography_servo.geometry.camera import Camera
 from homography_servo.geometry.face import face_corners
 from homography_servo.result import Rejected
+from homography_servo.tracking.box import BoxSides
+from homography_servo.tracking.box import Outline
+from homography_servo.tracking.face_pose import FacePose
 from homography_servo.tracking.face_pose import pose_of_face
 from homography_servo.tracking.plane import Plane
+from homography_servo.tracking.quads import grey_at
+from homography_servo.tracking.quads import list_quads
+from homography_servo.tracking.quads import side_contrast
 from homography_servo.tracking.snake import fit_snake
 from homography_servo.tracking.snake import Look
+from homography_servo.tracking.snake import Quality
 from homography_servo.tracking.snake import quality_of
 from homography_servo.tracking.snake import SnakeFit
 import numpy as np
 
-MIN_SIDE_PX = 8.0
-SHRUNK_BY_PX = 1.5  # a region between edges is smaller than the face by this
-WIDE = Look(2.0, 8, 3, 3, 2, 0.25, 0.5, 1.0)
-ENOUGH_CANDIDATES = 24
-FIELD_GUESS = 1.2  # focal length over image width of a camera nobody calibrated
+LENS_GUESS = 1.2  # focal length over image width of a camera nobody calibrated
+SLACK = 1.5  # for distances measured with it
+STEEPEST = 0.35  # cosine of the largest tilt
+LOOKED_AT = 10  # candidates fitted at most
+CONVINCING = 0.8  # score that ends the search
+CLEAR_GREY = 10.0  # contrast that is no noise
+AWAY_PX = 4.0  # distance from a side at which grey levels are compared
+WIDE = Look(1.5, 7, 3, 3, 3, 0.4, 0.5, 1.5)
+
+
+class Target(NamedTuple):
+    """What is looked for."""
+
+    face_size_m: tuple[float, float]
+    box_height_m: float
+    nearest_m: float
+    farthest_m: float
+    polarity: int  # 1 bright face, -1 dark face, 0 unknown
+    blur_px: float
 
 
 class Found(NamedTuple):
     """A face that was found."""
 
     fit: SnakeFit
+    quality: Quality
     score: float  # 0..1
     shape_miss_px: float  # RMS of the corners about the nearest rectangle's projection
 
 
-def find_face(image: np.ndarray, face_size_m: tuple[float, float], plane: Plane,
-              blur_px: float, expected: np.ndarray | None = None,
-              polarity: int = 0) -> Found | Rejected:
+def find_face(image: np.ndarray, target: Target, plane: Plane,
+              expected: np.ndarray | None = None) -> Found | Rejected:
     """
     Find the quadrilateral that looks most like the face.
 
@@ -51,17 +72,12 @@ def find_face(image: np.ndarray, face_size_m: tuple[float, float], plane: Plane,
     ----------
     image : (H, W) uint8 array
         Contiguous grey image.
-    face_size_m : (float, float)
-        Width and height of the face.
+    target : Target
+        The face and where it may be.
     plane : Plane
-        Its camera makes the check of the proportions sharp; without one a typical lens
-        is assumed.
-    blur_px : float
-        Blur of the edges.
+        Its camera makes the checks sharp; without one a typical lens is assumed.
     expected : (4, 2) array or None
         Corners in the plane; decides the order of the corners.
-    polarity : int
-        1 bright face, -1 dark face, 0 unknown.
 
     Returns
     -------
@@ -70,134 +86,157 @@ def find_face(image: np.ndarray, face_size_m: tuple[float, float], plane: Plane,
     """
     if plane.camera is None:
         plane = _typical_plane(image.shape)
-    best, reason = None, 'no quadrilateral in the image'
-    for candidate in candidates(image):
-        found = examine(image, plane.from_image(candidate), face_size_m, plane, blur_px,
-                        expected, polarity)
+        target = target._replace(nearest_m=target.nearest_m / SLACK,
+                                 farthest_m=target.farthest_m * SLACK)
+    best, reason = None, 'no quadrilateral in the image can be the face'
+    for quad in candidates(image, target, plane):
+        found = examine(image, quad, target, plane, expected)
         if isinstance(found, Rejected):
             reason = found.reason
         elif best is None or found.score > best.score:
             best = found
+            if best.score > CONVINCING:
+                break
     return Rejected(reason) if best is None else best
 
 
-def candidates(image: np.ndarray) -> list[np.ndarray]:
-    """List distinct convex quadrilaterals (4, 2), clockwise on the screen, largest first."""
-    kept: list[np.ndarray] = []
-    for quad in _quadrilaterals(image):
-        centre, size = quad.mean(axis=0), np.sqrt(cv2.contourArea(quad.astype(np.float32)))
-        if not any(np.abs(quad.mean(axis=0) - other.mean(axis=0)).max() < 3.0
-                   and abs(size / np.sqrt(cv2.contourArea(other.astype(np.float32))) - 1.0) < 0.1
-                   for other in kept) and np.isfinite(centre).all():
-            kept.append(quad)
-    kept.sort(key=lambda quad: -cv2.contourArea(quad.astype(np.float32)))
-    return kept[:ENOUGH_CANDIDATES]
+def candidates(image: np.ndarray, target: Target, plane: Plane) -> np.ndarray:
+    """List quadrilaterals (N, 4, 2) in the plane that may be the face, best first."""
+    longest_px = plane.focal.mean() * max(target.face_size_m) / target.farthest_m
+    least = STEEPEST * longest_px ** 2 * min(target.face_size_m) / max(target.face_size_m)
+    quads = list_quads(image, least)
+    if not len(quads):
+        return quads
+    contrast, inside = side_contrast(image, quads, AWAY_PX)
+    quads = plane.from_image(quads)
+    cosine, in_reach = _affine_pose(quads, target, plane)
+    sign = np.sign(np.median(contrast.reshape(len(quads), -1), axis=1)) \
+        if target.polarity == 0 else np.full(len(quads), target.polarity)
+    shown = (contrast * sign[:, None, None] > CLEAR_GREY).mean(axis=2)
+    uneven = inside.reshape(len(quads), -1).std(axis=1) \
+        / (np.abs(contrast).mean(axis=(1, 2)) + CLEAR_GREY)
+    merit = shown.mean(axis=1) + shown.min(axis=1) - np.minimum(uneven, 1.0) + 0.3 * cosine
+    merit[~in_reach | (shown.mean(axis=1) < 0.5)] = -np.inf
+    order = np.argsort(-merit)[:LOOKED_AT]
+    return quads[order[np.isfinite(merit[order])]]
 
 
-def _quadrilaterals(image: np.ndarray) -> Iterator[np.ndarray]:
-    smooth = cv2.GaussianBlur(image, (5, 5), 0)
-    edges = cv2.Canny(smooth, 40, 80)
-    closed = cv2.bitwise_not(cv2.dilate(edges, np.ones((3, 3), np.uint8)))
-    yield from _from_regions(closed, SHRUNK_BY_PX)
-    low, high = np.percentile(smooth[::4, ::4], (2.0, 98.0))
-    for level in np.linspace(low, high, 9)[1:-1]:
-        yield from _from_regions((smooth > level).astype(np.uint8), 0.0)
-
-
-def _from_regions(mask: np.ndarray, grow_px: float) -> Iterator[np.ndarray]:
-    """List the quadrilaterals among the outlines of a mask."""
-    outlines = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)[-2]
-    limit = 0.6 * mask.size
-    for outline in outlines:
-        if len(outline) < 4:
-            continue
-        area = cv2.contourArea(outline)
-        if not MIN_SIDE_PX ** 2 < area < limit:
-            continue
-        quad = _four_corners(outline, area)
-        if quad is not None:
-            yield _grown(quad, grow_px)
-
-
-def _four_corners(outline: np.ndarray, area: float) -> np.ndarray | None:
-    """Simplify an outline to four corners, clockwise on the screen, or None."""
-    length = cv2.arcLength(outline, True)
-    for share in (0.02, 0.04, 0.07):
-        simple = cv2.approxPolyDP(outline, share * length, True)[:, 0, :].astype(float)
-        if len(simple) == 4:
-            break
-    else:
-        return None
-    edge = np.roll(simple, -1, axis=0) - simple
-    after = np.roll(edge, -1, axis=0)
-    cross = edge[:, 0] * after[:, 1] - edge[:, 1] * after[:, 0]
-    if (cross < 0.0).all():
-        simple, cross = simple[::-1], -cross
-    sides = np.hypot(edge[:, 0], edge[:, 1])
-    if not (cross > 0.0).all() or sides.min() < MIN_SIDE_PX:
-        return None
-    own = cv2.contourArea(simple.astype(np.float32))
-    return simple if 0.85 < area / own < 1.15 else None
-
-
-def _grown(quad: np.ndarray, by_px: float) -> np.ndarray:
-    away = quad - quad.mean(axis=0)
-    return quad + by_px * 1.4 * away / np.linalg.norm(away, axis=1, keepdims=True)
+def _affine_pose(quads: np.ndarray, target: Target,
+                 plane: Plane) -> tuple[np.ndarray, np.ndarray]:
+    """Estimate the cosine of the tilt, and whether the distance is within reach."""
+    across = 0.5 * (quads[:, 1] - quads[:, 0] + quads[:, 2] - quads[:, 3])
+    down = 0.5 * (quads[:, 3] - quads[:, 0] + quads[:, 2] - quads[:, 1])
+    best, allowed = np.zeros(len(quads)), np.zeros(len(quads), bool)
+    for width, height in (target.face_size_m, target.face_size_m[::-1]):
+        spread = np.linalg.svd(np.stack([across / width, down / height], axis=2),
+                               compute_uv=False)
+        depth = plane.focal.mean() / np.maximum(spread[:, 0], 1e-9)
+        cosine = spread[:, 1] / np.maximum(spread[:, 0], 1e-9)
+        possible = (depth > 0.85 * target.nearest_m) & (depth < 1.15 * target.farthest_m) \
+            & (cosine > 0.8 * STEEPEST)
+        best = np.where(possible, np.maximum(best, cosine), best)
+        allowed |= possible
+    return best, allowed
 
 
 def _typical_plane(shape: tuple[int, ...]) -> Plane:
     height, width = shape
-    focal = FIELD_GUESS * max(width, height)
+    focal = LENS_GUESS * max(width, height)
     return Plane(Camera(focal, focal, 0.5 * (width - 1), 0.5 * (height - 1), width, height))
 
 
-def examine(image: np.ndarray, quad: np.ndarray, face_size_m: tuple[float, float],
-            plane: Plane, blur_px: float, expected: np.ndarray | None,
-            polarity: int) -> Found | Rejected:
+def examine(image: np.ndarray, quad: np.ndarray, target: Target, plane: Plane,
+            expected: np.ndarray | None = None) -> Found | Rejected:
     """Fit a candidate and check that it can be the face."""
-    if shape_miss(quad, face_size_m, plane)[0] > 0.12 * _size(quad) + 3.0:
-        return Rejected('the proportions are not those of the face')
     fit: SnakeFit | Rejected = Rejected('')
-    for look in (WIDE, Look(blur_px, 6)):
-        fit = fit_snake(image, quad, look, plane, None, polarity)
+    for look in (WIDE, Look(target.blur_px, 5)):
+        fit = fit_snake(image, quad, look, plane, None, target.polarity)
         if isinstance(fit, Rejected):
             return fit
         quad = fit.corners
     quality = quality_of(fit)
-    if quality.inlier_share < 0.6 or quality.side_share.min() < 0.3:
+    if quality.inlier_share < 0.6 or quality.side_share.min() < 0.25:
         return Rejected('the edges do not support the quadrilateral')
-    miss_px, turn = shape_miss(fit.corners, face_size_m, plane, expected)
-    allowed_px = 0.02 * _size(fit.corners) + 0.5
+    pose, miss_px, turns = best_pose(fit.corners, target.face_size_m, plane)
+    size = float(np.sqrt(np.abs(np.linalg.det(fit.corners[[1, 2]] - fit.corners[0]))))
+    allowed_px = 0.5 + (0.01 if plane.camera is not None else 0.03) * size
     if miss_px > allowed_px:
         return Rejected('the proportions are not those of the face')
-    score = quality.inlier_share * quality.side_share.min() \
-        * (1.0 - 0.5 * miss_px / allowed_px)
-    return Found(turned_fit(fit, turn), float(score), miss_px)
+    cosine = abs(float(pose.rotation[:, 2] @ pose.translation)) \
+        / float(np.linalg.norm(pose.translation))
+    if not target.nearest_m < pose.translation[2] < target.farthest_m or cosine < STEEPEST:
+        return Rejected('the face would be out of reach')
+    turn = min(turns, key=lambda number: _turn_cost(fit.corners, number, expected))
+    score = quality.inlier_share * quality.side_share.min() ** 0.5 * cosine ** 0.5 \
+        * (1.0 - 0.5 * miss_px / allowed_px) * _evenness(fit) \
+        * _box_evidence(image, fit.corners, turns[0], target, plane)
+    return Found(turned_fit(fit, turn), quality, float(score), miss_px)
 
 
-def shape_miss(quad: np.ndarray, face_size_m: tuple[float, float], plane: Plane,
-               expected: np.ndarray | None = None) -> tuple[float, int]:
+def best_pose(quad: np.ndarray, face_size_m: tuple[float, float], plane: Plane
+              ) -> tuple[FacePose | None, float, list[int]]:
     """
-    Measure how far a quadrilateral is from a view of the rectangle.
+    Fit the pose of the face to a quadrilateral in the turns that its proportions allow.
 
     Returns
     -------
-    float, int
-        RMS of the corners [px] in the best of the turns the proportions allow, and by
-        how many places the corners must be rolled to come in the right order.
+    FacePose or None, float, list of int
+        The better one, the RMS distance of the corners from its projection [px], and
+        by how many places the corners may be rolled.
 
     """
-    points_m = face_corners(*face_size_m)
-    rays, focal = plane.rays(quad), 0.5 * (plane.camera.fx + plane.camera.fy)
-    missed = []
-    for turn in (0, 1):
-        pose = pose_of_face(points_m, np.roll(rays, -turn, axis=0))
-        missed.append(np.inf if isinstance(pose, Rejected)
-                      else focal * float(np.sqrt(np.mean(pose.miss ** 2))))
-    turns = [0, 2] if missed[0] <= missed[1] else [1, 3]
+    points_m, rays = face_corners(*face_size_m), plane.rays(quad)
+    poses = [pose_of_face(points_m, np.roll(rays, -turn, axis=0)) for turn in (0, 1)]
+    missed = [np.inf if isinstance(pose, Rejected)
+              else float(plane.focal.mean() * np.sqrt(np.mean(pose.miss ** 2)))
+              for pose in poses]
+    better = int(missed[1] < missed[0])
+    turns = [better, better + 2]
     if abs(face_size_m[0] / face_size_m[1] - 1.0) < 0.02:
         turns = [0, 1, 2, 3]
-    return min(missed), min(turns, key=lambda turn: _turn_cost(quad, turn, expected))
+    return (None if np.isinf(missed[better]) else poses[better]), missed[better], turns
+
+
+def _evenness(fit: SnakeFit) -> float:
+    """Rate how alike the sides look from inside, 0 to 1."""
+    edges, good = fit.edges, fit.weight > 0.1
+    inside = edges.outside + edges.contrast
+    levels = [np.median(inside[good & (edges.side == side)])
+              for side in range(4) if (good & (edges.side == side)).any()]
+    scale = np.abs(edges.contrast[good]).mean() + CLEAR_GREY
+    return float(np.exp(-np.std(levels) / scale))
+
+
+def _box_evidence(image: np.ndarray, corners: np.ndarray, turn: int, target: Target,
+                  plane: Plane) -> float:
+    """Rate whether the sides of the box show where they must, 0.6 to 1."""
+    if target.box_height_m <= 0.0:
+        return 1.0
+    outline = BoxSides(target.face_size_m, target.box_height_m, plane).outline(
+        np.roll(corners, -turn, axis=0))
+    if isinstance(outline, Rejected):
+        return 0.6
+    seen = [_strip_shows(image, np.roll(corners, -turn, axis=0), outline, side, plane)
+            for side in range(4) if outline.width[side].mean() > 4.0]
+    return 0.6 + 0.4 * float(np.mean(seen)) if seen else 0.85
+
+
+def _strip_shows(image: np.ndarray, corners: np.ndarray, outline: Outline, side: int,
+                 plane: Plane) -> float:
+    """Compare the grey levels of a strip with those of the face and of what is behind."""
+    first, second = corners[side], corners[(side + 1) % 4]
+    along = second - first
+    outward = np.array([along[1], -along[0]]) / np.linalg.norm(along)
+    share = np.array([0.25, 0.4, 0.6, 0.75])[:, None]
+    reach = outline.reach[side, 0] + share * (outline.reach[side, 1] - outline.reach[side, 0])
+    width = outline.width[side, 0] + share * (outline.width[side, 1] - outline.width[side, 0])
+    at = first + reach * along
+    face, strip, near, behind = (
+        grey_at(image, plane.to_image(at + away * outward))
+        for away in (-AWAY_PX, 0.5 * width, width - 2.0, width + 3.0))
+    step = np.abs(near - behind) / CLEAR_GREY
+    even = np.abs(face - strip) > CLEAR_GREY
+    return float(np.minimum(np.median(step), 1.0) * even.mean())
 
 
 def _turn_cost(quad: np.ndarray, turn: int, expected: np.ndarray | None) -> float:
@@ -218,7 +257,3 @@ def turned_fit(fit: SnakeFit, turn: int) -> SnakeFit:
     edges = fit.edges._replace(side=(fit.edges.side - turn) % 4)
     return fit._replace(corners=fit.corners[order], covariance=fit.covariance[np.ix_(both, both)],
                         edges=edges)
-
-
-def _size(quad: np.ndarray) -> float:
-    return float(np.sqrt(cv2.contourArea(quad.astype(np.float32))))

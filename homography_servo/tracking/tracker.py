@@ -8,6 +8,7 @@ from homography_servo.geometry.camera import Camera
 from homography_servo.result import Rejected
 from homography_servo.tracking.box import BoxSides
 from homography_servo.tracking.finder import find_face
+from homography_servo.tracking.finder import Target
 from homography_servo.tracking.motion import Motion
 from homography_servo.tracking.motion import shape_prior
 from homography_servo.tracking.plane import Plane
@@ -146,14 +147,18 @@ class Tracker:
         if given is not None:
             fit = self._fit_near(image, shape_prior(given, GIVEN_SHAPE_SIGMA_PX))
         if not fit and self.settings.find_face:
-            found = find_face(image, self.face_size_m, self._plane, self.settings.edge_blur_px,
-                              self._given(predicted_px), POLARITIES[self.settings.polarity])
+            found = find_face(image, self._target(), self._plane, self._given(predicted_px))
             fit = found if isinstance(found, Rejected) else found.fit
         if isinstance(fit, Rejected):
             return Track(self._state, None, None, None, None, fit.reason)
         self._motion = Motion()
         self._confirmed = self.settings.confirming_frames if self._known_place else 0
         return self._seen(fit, stamp_s)
+
+    def _target(self) -> Target:
+        settings = self.settings
+        return Target(self.face_size_m, self.box_height_m, settings.nearest_m,
+                      settings.farthest_m, POLARITIES[settings.polarity], settings.edge_blur_px)
 
     def _given(self, predicted_px: np.ndarray | None) -> np.ndarray | None:
         if predicted_px is not None:

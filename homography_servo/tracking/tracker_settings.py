@@ -46,5 +46,9 @@ class TrackerSettings(Settings):
         (), 'px', 'where the corners are in the first image: u and v of top left, top right, '
         'bottom right, bottom left as seen at the home pose; empty: they are looked for',
         length=8)
+    nearest_m: float = real(
+        0.15, 0.01, 100.0, 'm', 'least distance of the face from the camera that is possible')
+    farthest_m: float = real(
+        1.5, 0.01, 100.0, 'm', 'largest distance of the face from the camera that is possible')
     find_face: bool = flag(
         True, 'whether to look for the face in the whole image when it is not known where it is')
