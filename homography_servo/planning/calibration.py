@@ -215,30 +215,35 @@ def _criterion(fit: _Fit) -> float:
 
 def _judged(fit: _Fit, joints: np.ndarray, used: np.ndarray, settings: CalibrationSettings
             ) -> Calibration | Rejected:
-    slopes = fit.model.jacobian(fit.change, joints).reshape(-1, fit.model.size)
-    free = fit.residuals_px.size - fit.model.size
-    if free <= 0:
-        return Rejected(f'{len(joints)} looks are too few for {fit.model.size} unknowns')
-    noise_px = max(math.sqrt(float(np.sum(fit.residuals_px**2)) / free), _LEAST_NOISE_PX)
-    scale = np.linalg.norm(slopes, axis=0)
-    if np.any(scale == 0.0):
-        return Rejected('the looks do not depend on all that is to be calibrated')
-    _, sizes, right = np.linalg.svd(slopes / scale, full_matrices=False)
-    condition = float(sizes[0] / max(sizes[-1], 1e-300))
-    spread = right.T / np.maximum(sizes, 1e-12)
-    covariance = noise_px**2 * (spread @ spread.T) / np.outer(scale, scale)
+    known = _knowledge(fit, joints)
+    if isinstance(known, Rejected):
+        return known
+    covariance, condition = known
     problem = _problem(fit, covariance, settings)
     if problem is not None:
         return problem
-    depth_m = fit.model.points_camera_m(fit.change, joints)[..., 2].mean()
-    residual_px = _rms(fit.residuals_px)
-    residual_m = residual_px * float(depth_m) / math.sqrt(fit.model.camera.fx
-                                                          * fit.model.camera.fy)
-    left_out = tuple(int(index) for index in np.flatnonzero(~used))
+    camera, residual_px = fit.model.camera, _rms(fit.residuals_px)
+    depth_m = float(fit.model.points_camera_m(fit.change, joints)[..., 2].mean())
+    residual_m = residual_px * depth_m / math.sqrt(camera.fx * camera.fy)
     offsets = fit.model.offsets_rad(fit.change)
     return Calibration(fit.model.changed(fit.change), offsets, residual_px, residual_m,
-                       covariance, condition, left_out,
+                       covariance, condition, tuple(np.flatnonzero(~used).tolist()),
                        _sentence(residual_px, residual_m, covariance, offsets, used))
+
+
+def _knowledge(fit: _Fit, joints: np.ndarray) -> tuple[np.ndarray, float] | Rejected:
+    """Give the covariance of the change, by the noise that the residuals show, and condition."""
+    free = fit.residuals_px.size - fit.model.size
+    if free <= 0:
+        return Rejected(f'{len(joints)} looks are too few for {fit.model.size} unknowns')
+    slopes = fit.model.jacobian(fit.change, joints).reshape(-1, fit.model.size)
+    scale = np.linalg.norm(slopes, axis=0)
+    if np.any(scale == 0.0):
+        return Rejected('the looks do not depend on all that is to be calibrated')
+    noise_px = max(math.sqrt(float(np.sum(fit.residuals_px**2)) / free), _LEAST_NOISE_PX)
+    _, sizes, right = np.linalg.svd(slopes / scale, full_matrices=False)
+    spread = right.T / np.maximum(sizes, 1e-12) / scale[:, None]
+    return noise_px**2 * spread @ spread.T, float(sizes[0] / max(sizes[-1], 1e-300))
 
 
 def _problem(fit: _Fit, covariance: np.ndarray, settings: CalibrationSettings) -> Rejected | None:
@@ -261,12 +266,12 @@ def _problem(fit: _Fit, covariance: np.ndarray, settings: CalibrationSettings) -
 def _sentence(residual_px: float, residual_m: float, covariance: np.ndarray,
               offsets: np.ndarray, used: np.ndarray) -> str:
     sigma = np.sqrt(np.diag(covariance))
-    text = f'residual {residual_px:.2f} px ({1e3 * residual_m:.2f} mm) over {int(used.sum())} ' \
+    words = f'residual {residual_px:.2f} px ({1e3 * residual_m:.2f} mm) over {int(used.sum())} ' \
            f'looks; placement known to {1e3 * sigma[:3].max():.2f} mm and ' \
            f'{math.degrees(sigma[3:6].max()):.2f} deg'
     if offsets.any():
         degrees = ', '.join(f'{math.degrees(value):.2f}' for value in offsets)
-        text += f'; joint zeros off by {degrees} deg'
+        words += f'; joint zeros off by {degrees} deg'
     if not used.all():
-        text += f'; {int((~used).sum())} looks left out'
-    return text
+        words += f'; {int((~used).sum())} looks left out'
+    return words
