@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from homography_servo.geometry.rigid import _transforms
+from homography_servo.geometry.rigid import checked_transforms
 from homography_servo.geometry.rigid import transform
 from homography_servo.result import Rejected
 import numpy as np
@@ -173,7 +173,7 @@ def parameters_from_pose(home_from_object: np.ndarray,
 
     """
     _check_depth(home_depth_m)
-    pose = _transforms(home_from_object)
+    pose = checked_transforms(home_from_object)
     if not np.isfinite(pose).all():
         return Rejected('the pose is not finite')
     depth = 1.0 + pose[..., 2, 3] / home_depth_m

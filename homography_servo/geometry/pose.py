@@ -24,7 +24,6 @@ from homography_servo.geometry.pose_start import Shape
 from homography_servo.geometry.pose_start import shape_of
 from homography_servo.geometry.pose_views import views_of
 from homography_servo.geometry.rigid import pose_difference
-from homography_servo.geometry.rigid import transform
 from homography_servo.result import Rejected
 import numpy as np
 from scipy.linalg import lapack
@@ -140,8 +139,8 @@ def _prepare(points: np.ndarray, image: np.ndarray, camera: Camera,
         raise ValueError(f'image_points_px must have shape (N, 2), got {image.shape}')
     if len(points) < 4:
         return Rejected(f'need 4 points, have {len(points)}')
-    if not (np.isfinite(image).all() and np.isfinite(points).all()):
-        return Rejected('a point is not finite')
+    if not np.isfinite(image).all():
+        return Rejected('a point in the image is not finite')
     if prior is not None and not (np.isfinite(prior.home_from_object).all()
                                   and np.isfinite(prior.covariance).all()):
         return Rejected('the prior is not finite')
@@ -151,7 +150,7 @@ def _prepare(points: np.ndarray, image: np.ndarray, camera: Camera,
     views = views_of(points, image[None], camera, covariance_px2)
     if isinstance(views, Rejected):
         return views
-    if not np.isfinite(views[0].rays).all():
+    if camera.bends and not np.isfinite(views[0].rays).all():
         return Rejected('a point lies where the lens of the camera shows nothing')
     return shape, *views
 
@@ -194,7 +193,9 @@ def _candidates(fit: Fit, views: Views, px_per_ray: np.ndarray, home_depth_m: fl
     if len(order) == 2 and same_minimum(fit, *order):
         order.pop()
     residuals_px = _residuals_px(fit, views, px_per_ray)
-    poses = transform(fit.rotation, fit.translation_m - (0.0, 0.0, home_depth_m))
+    poses = np.zeros((2, 4, 4))
+    poses[:, :3, :3], poses[:, :3, 3], poses[:, 3, 3] = fit.rotation, fit.translation_m, 1.0
+    poses[:, 2, 3] -= home_depth_m
     found = []
     for i in order:
         covariance, open_direction = lapack.dpotri(lapack.dpotrf(fit.normal[i])[0])
@@ -216,11 +217,10 @@ def _residuals_px(fit: Fit, views: Views, px_per_ray: np.ndarray) -> list[float]
 
 def same_minimum(fit: Fit, i: int, j: int) -> bool:
     """Tell whether two fits are one minimum: nearer than their uncertainty."""
-    turn = fit.rotation[i] @ fit.rotation[j].T
-    difference = np.array([*(fit.translation_m[i] - fit.translation_m[j]),
-                           0.5 * (turn[2, 1] - turn[1, 2]), 0.5 * (turn[0, 2] - turn[2, 0]),
-                           0.5 * (turn[1, 0] - turn[0, 1])])
-    return bool(turn[0, 0] + turn[1, 1] + turn[2, 2] > 1.0
+    (_, xy, xz), (yx, _, yz), (zx, zy, _) = turn = (fit.rotation[i] @ fit.rotation[j].T).tolist()
+    difference = np.array([*(fit.translation_m[i] - fit.translation_m[j]).tolist(),
+                           0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy)])
+    return bool(turn[0][0] + turn[1][1] + turn[2][2] > 1.0
                 and difference @ fit.normal[i] @ difference < SAME_MINIMUM)
 
 
@@ -231,7 +231,7 @@ def _chosen(candidates: list[PoseCandidate], prior: Prior | None) -> PoseEstimat
     cost = [candidate.chi2 for candidate in candidates]
     if prior is not None:
         try:
-            cost = [c + _distance2(candidate, prior) for c, candidate in zip(cost, candidates)]
+            cost = [c + d for c, d in zip(cost, _distances2(candidates, prior))]
         except np.linalg.LinAlgError:
             return Rejected('the covariance of the prior is not positive definite')
     if cost[1] < cost[0]:
@@ -239,11 +239,13 @@ def _chosen(candidates: list[PoseCandidate], prior: Prior | None) -> PoseEstimat
     return PoseEstimate(tuple(candidates), math.exp(-0.5 * abs(cost[1] - cost[0])))
 
 
-def _distance2(candidate: PoseCandidate, prior: Prior) -> float:
-    difference = pose_difference(candidate.home_from_object, prior.home_from_object)
-    factor = np.linalg.cholesky(prior.covariance + candidate.covariance)
-    whitened = np.linalg.solve(factor, difference)
-    return float(whitened @ whitened)
+def _distances2(candidates: list[PoseCandidate], prior: Prior) -> list[float]:
+    """Measure how far candidates are from the prior, in units of both covariances."""
+    poses = np.array([candidate.home_from_object for candidate in candidates])
+    spread = prior.covariance + np.array([candidate.covariance for candidate in candidates])
+    difference = pose_difference(poses, prior.home_from_object)[..., None]
+    whitened = np.linalg.solve(np.linalg.cholesky(spread), difference)
+    return (whitened * whitened).sum(axis=(1, 2)).tolist()
 
 
 _UPPER = np.triu(np.ones((6, 6), bool))

@@ -61,7 +61,7 @@ def estimate_poses(object_points_m: np.ndarray, image_points_px: np.ndarray, cam
         raise ValueError(f'image_points_px must have shape (M, N, 2), got {image.shape}')
     if len(points) < 4:
         return Rejected(f'need 4 points, have {len(points)}')
-    shape = shape_of(points) if np.isfinite(points).all() else Rejected('a point is not finite')
+    shape = shape_of(points)
     if isinstance(shape, Rejected):
         return shape
     views = views_of(points, image, camera, covariance_px2)

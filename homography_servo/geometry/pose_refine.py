@@ -146,35 +146,36 @@ def _whitened(views: Views, rows: np.ndarray) -> np.ndarray:
 
 def _descend(views: Views, state: Fit) -> Fit:
     """Descend with a few poses together until all have settled."""
-    damping = None
+    damping, before = None, 0.0
     for count in range(_MAX_STEPS):
         step, gain = (_step if count < _PATIENCE else _newton_step)(views, state, damping)
-        settled = _settled(gain, state.chi2)
-        rotation, translation_m = moved(state.rotation, state.translation_m, step)
+        settled = _settled(gain, before, state.chi2)
         if settled.all():
-            return state._replace(rotation=rotation, translation_m=translation_m)
-        trial = linearise(views, rotation, translation_m)
+            return _arrived(state, step, gain)
+        trial = linearise(views, *moved(state.rotation, state.translation_m, step))
         state, damping = _accept(state, trial, damping, settled)
+        before = gain
     return state
 
 
 def _descend_many(views: Views, state: Fit) -> Fit:
     """Do as `_descend`, and go on only with the poses that have not settled."""
     result = Fit(*(value.copy() for value in state))
-    open_index, damping = np.arange(len(state.chi2)), np.full(len(state.chi2), _RIDGE)
+    index, damping = np.arange(len(state.chi2)), np.full(len(state.chi2), _RIDGE)
+    before = 0.0
     for count in range(_MAX_STEPS):
         step, gain = (_step if count < _PATIENCE else _newton_step)(views, state, damping)
-        rotation, translation_m = moved(state.rotation, state.translation_m, step)
-        settled = _settled(gain, state.chi2)
-        _store(result, open_index[settled], state._replace(
-            rotation=rotation, translation_m=translation_m).take(settled))
+        settled = _settled(gain, before, state.chi2)
+        left = ~settled
+        _store(result, index[settled],
+               _arrived(state.take(settled), step[settled], gain[settled]))
         if settled.all():
             return result
-        left = ~settled
-        open_index, views, damping = open_index[left], views.take(left), damping[left]
-        trial = linearise(views, rotation[left], translation_m[left])
-        state, damping = _accept(state.take(left), trial, damping, settled[left])
-    _store(result, open_index, state)
+        index, views, damping, before = index[left], views.take(left), damping[left], gain[left]
+        state, step = state.take(left), step[left]
+        trial = linearise(views, *moved(state.rotation, state.translation_m, step))
+        state, damping = _accept(state, trial, damping, settled[left])
+    _store(result, index, state)
     return result
 
 
@@ -183,9 +184,21 @@ def _store(result: Fit, index: np.ndarray, part: Fit) -> None:
         whole[index] = values
 
 
-def _settled(gain: np.ndarray, chi2: np.ndarray) -> np.ndarray:
-    """Tell where a step would change chi squared by nothing that matters, or is not finite."""
-    return ~(gain > 1e-9 + 1e-5 * chi2)
+def _settled(gain: np.ndarray, before: np.ndarray | float, chi2: np.ndarray) -> np.ndarray:
+    """
+    Tell where the step after this one would change nothing that matters.
+
+    ``gain`` is the decrease of chi squared that this step predicts, ``before`` that of
+    the last one; they go on falling at this rate or faster. Also true where not finite.
+    """
+    return ~(gain * np.minimum(gain / before, 1.0) > 1e-10 + 1e-6 * chi2)
+
+
+def _arrived(state: Fit, step: np.ndarray, gain: np.ndarray) -> Fit:
+    """Take a last step without looking again."""
+    rotation, translation_m = moved(state.rotation, state.translation_m, step)
+    return state._replace(rotation=rotation, translation_m=translation_m,
+                          chi2=np.maximum(state.chi2 - gain, 0.0))
 
 
 def _step(views: Views, state: Fit, damping: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

@@ -44,6 +44,8 @@ def shape_of(points_m: np.ndarray) -> Shape | Rejected:
 @lru_cache(maxsize=64)
 def _shape_of(data: bytes, count: int) -> Shape | Rejected:
     points = np.frombuffer(data).reshape(count, 3)
+    if not np.isfinite(points).all():
+        return Rejected('a point of the object is not finite')
     centre = points.mean(axis=0)
     _, spread, axes = np.linalg.svd(points - centre)
     if spread[0] <= 1e-12 * max(1.0, np.abs(points).max()):
@@ -92,12 +94,12 @@ def planar_starts(shape: Shape, rays: np.ndarray
     if np.all(fault):
         empty = np.zeros((len(rays), 3, 3))
         return np.stack([empty, empty]), empty[:, 0], np.atleast_1d(fault)
-    view, pair, centre_m = (np.array(part) for part in _mirror_pair(*elements))
-    view = view.reshape(3, 3, -1).transpose(2, 0, 1)
-    pair = pair.reshape(2, 3, 3, -1).transpose(0, 3, 1, 2)
-    rotation = view @ pair @ shape.object_from_axes.T
-    mirrored = (pair[0, :, 2, 2] <= 0.0) & shape.faces_camera
-    return rotation, centre_m.reshape(3, -1).T, np.where(mirrored & (fault == 0), 3, fault)
+    parts = np.array(_mirror_pair(*elements)).reshape(30, -1).T
+    view, pair = parts[:, :9].reshape(-1, 3, 3), parts[:, 9:27].reshape(-1, 2, 3, 3)
+    rotation = view @ pair.swapaxes(0, 1) @ shape.object_from_axes.T
+    if shape.faces_camera:
+        fault = np.where((pair[:, 0, 2, 2] <= 0.0) & (fault == 0), 3, fault)
+    return rotation, parts[:, 27:], np.atleast_1d(fault)
 
 
 FAULTS = {
@@ -203,7 +205,7 @@ def _many_point_homography(plane_m: np.ndarray, rays: np.ndarray):
 
 
 def _mirror_pair(h11, h12, h13, h21, h22, h23, h31, h32, h33):
-    """Give the frame of sight, both orientations in it, and the centre, by elements."""
+    """Give the frame of sight (9), both orientations in it (2 x 9), and the centre (3)."""
     p, q = h13 / h33, h23 / h33
     length = (p * p + q * q + 1.0) ** 0.5
     x, y, z = p / length, q / length, 1.0 / length
@@ -225,4 +227,4 @@ def _mirror_pair(h11, h12, h13, h21, h22, h23, h31, h32, h33):
     first = (b11, b12, d1, b21, b22, d2, c1, c2, d3)
     second = (b11, b12, -d1, b21, b22, -d2, -c1, -c2, d3)
     view = (v11, v12, x, v12, v22, y, -x, -y, z)
-    return view, first + second, (distance_m * x, distance_m * y, distance_m * z)
+    return view + first + second + (distance_m * x, distance_m * y, distance_m * z)

@@ -41,14 +41,14 @@ def transform(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
 
 def inverse(a_from_b: np.ndarray) -> np.ndarray:
     """Invert transforms (..., 4, 4) without a linear solver."""
-    a_from_b = _transforms(a_from_b)
+    a_from_b = checked_transforms(a_from_b)
     back = np.swapaxes(a_from_b[..., :3, :3], -1, -2)
     return transform(back, -(back @ a_from_b[..., :3, 3:])[..., 0])
 
 
 def transform_points(a_from_b: np.ndarray, points_b: np.ndarray) -> np.ndarray:
     """Map points (N, 3) through transforms (..., 4, 4) to (..., N, 3)."""
-    a_from_b = _transforms(a_from_b)
+    a_from_b = checked_transforms(a_from_b)
     turned = points_b @ np.swapaxes(a_from_b[..., :3, :3], -1, -2)
     return turned + a_from_b[..., None, :3, 3]
 
@@ -103,7 +103,7 @@ def log_transform(a_from_b: np.ndarray) -> np.ndarray:
         Twists with a rotation of at most pi.
 
     """
-    a_from_b = _transforms(a_from_b)
+    a_from_b = checked_transforms(a_from_b)
     return twist_about(rotation_log(a_from_b[..., :3, :3]), a_from_b[..., :3, 3])
 
 
@@ -135,7 +135,7 @@ def twist_about(rotation_vector: np.ndarray, translation: np.ndarray) -> np.ndar
 
 def adjoint(a_from_b: np.ndarray) -> np.ndarray:
     """Give the (..., 6, 6) matrices that express screws of frame b in frame a."""
-    a_from_b = _transforms(a_from_b)
+    a_from_b = checked_transforms(a_from_b)
     rotation = a_from_b[..., :3, :3]
     matrix = np.zeros((*a_from_b.shape[:-2], 6, 6))
     matrix[..., :3, :3] = matrix[..., 3:, 3:] = rotation
@@ -179,21 +179,21 @@ def pose_difference(parent_from_a: np.ndarray, parent_from_b: np.ndarray) -> np.
         both along the axes of the parent. Covariances of poses refer to it.
 
     """
-    a, b = _transforms(parent_from_a), _transforms(parent_from_b)
+    a, b = checked_transforms(parent_from_a), checked_transforms(parent_from_b)
     turn = rotation_log(a[..., :3, :3] @ np.swapaxes(b[..., :3, :3], -1, -2))
     return np.concatenate([a[..., :3, 3] - b[..., :3, 3], turn], axis=-1)
 
 
 def displaced(parent_from_a: np.ndarray, difference: np.ndarray) -> np.ndarray:
     """Add a difference (..., 6) to poses (..., 4, 4): undoes `pose_difference`."""
-    a, difference = _transforms(parent_from_a), _twists(difference)
+    a, difference = checked_transforms(parent_from_a), _twists(difference)
     turned = _rotations(difference[..., 3:]) @ a[..., :3, :3]
     return transform(turned, a[..., :3, 3] + difference[..., :3])
 
 
 def screw_between(parent_from_start: np.ndarray, parent_from_goal: np.ndarray) -> np.ndarray:
     """Find the twist (..., 6) in the parent with ``exp_twist(twist) @ start == goal``."""
-    return log_transform(_transforms(parent_from_goal) @ inverse(parent_from_start))
+    return log_transform(checked_transforms(parent_from_goal) @ inverse(parent_from_start))
 
 
 class Screw(NamedTuple):
@@ -241,7 +241,8 @@ def _cotangent(angle_rad: np.ndarray) -> np.ndarray:
     return np.where(angle_rad < _SMALL_RAD, series, closed)
 
 
-def _transforms(a_from_b: np.ndarray) -> np.ndarray:
+def checked_transforms(a_from_b: np.ndarray) -> np.ndarray:
+    """Give transforms as an array (..., 4, 4), or refuse the shape."""
     a_from_b = np.asarray(a_from_b, float)
     if a_from_b.shape[-2:] != (4, 4):
         raise ValueError(f'transforms must have shape (..., 4, 4), got {a_from_b.shape}')
