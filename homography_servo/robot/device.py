@@ -14,8 +14,8 @@ from typing import Callable
 
 from homography_servo.result import Rejected
 from homography_servo.robot.machine import Machine
-from homography_servo.robot.protocol import BadLine
 from homography_servo.robot.protocol import BAD_REUSE
+from homography_servo.robot.protocol import BadLine
 from homography_servo.robot.protocol import encode_line
 from homography_servo.robot.protocol import error_text
 from homography_servo.robot.protocol import Line

@@ -210,8 +210,9 @@ class ArmDriver:
     def hold(self, reason: str, now_s: float, for_s: float = float('inf')) -> None:
         """Come to rest and stay powered, for a time or until the next command."""
         with self._lock:
-            self._hold = self._hold or reason
-            self._hold_until_s = now_s + for_s
+            if not self.locked_out(now_s) or for_s < float('inf'):
+                self._hold, self._hold_until_s = reason, now_s + for_s
+            self._in_a_row = 0
             self._rest(now_s)
 
     def locked_out(self, now_s: float) -> bool:

@@ -198,9 +198,7 @@ class Bench:
         return [(float(time_s), ast.literal_eval(raw)) for time_s, raw in rows]
 
     def judged(self):
-        """
-        Judge what was heard; times on a pty are those of reading, so speeds are not judged.
-        """
+        """Judge what was heard, but for speeds: times on a pty are those of reading."""
         found = Judge().watch(self.heard()).violations
         return [item for item in found if item[1] != 'speed']
 
