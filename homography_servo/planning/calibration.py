@@ -122,9 +122,7 @@ def calibrate(robot: Robot, camera: Camera, joints_rad: np.ndarray, corners_px: 
     if len(joints) < settings.calibration_views:
         return Rejected(f'{len(joints)} looks are too few for a calibration, '
                         f'{settings.calibration_views} are needed')
-    fits = [_fitted(PlacementModel(start, camera), joints, corners, loss='soft_l1')
-            for start in _starts(robot, camera, joints, corners)]
-    best = min(fits, key=lambda fit: fit.cost)
+    best = _first_fit(robot, camera, joints, corners)
     used = _fitting_looks(best)
     if used.sum() < settings.calibration_views:
         return Rejected(f'{int((~used).sum())} of {len(used)} looks do not fit the others, '
@@ -146,14 +144,17 @@ def _checked(robot: Robot, joints_rad: np.ndarray, corners_px: np.ndarray
     return joints, corners
 
 
-def _starts(robot: Robot, camera: Camera, joints: np.ndarray, corners: np.ndarray) -> list[Robot]:
-    """List where to start from: what is believed, and linear solutions."""
-    starts = [robot]
+def _first_fit(robot: Robot, camera: Camera, joints: np.ndarray, corners: np.ndarray) -> _Fit:
+    """Fit from what is believed; where that explains little, from linear solutions too."""
+    fits = [_fitted(PlacementModel(robot, camera), joints, corners, loss='soft_l1')]
+    if np.median(np.abs(fits[0].residuals_px)) < _ROBUST_PX:
+        return fits[0]
     for believed in (True, False):
         linear = _linear(robot, camera, joints, corners, believed)
         if not isinstance(linear, Rejected):
-            starts.append(replace(robot, home_from_base=linear[0], tool_from_object=linear[1]))
-    return starts
+            start = replace(robot, home_from_base=linear[0], tool_from_object=linear[1])
+            fits.append(_fitted(PlacementModel(start, camera), joints, corners, loss='soft_l1'))
+    return min(fits, key=lambda fit: fit.cost)
 
 
 def _linear(robot: Robot, camera: Camera, joints: np.ndarray, corners: np.ndarray,
@@ -267,8 +268,8 @@ def _sentence(residual_px: float, residual_m: float, covariance: np.ndarray,
               offsets: np.ndarray, used: np.ndarray) -> str:
     sigma = np.sqrt(np.diag(covariance))
     words = f'residual {residual_px:.2f} px ({1e3 * residual_m:.2f} mm) over {int(used.sum())} ' \
-           f'looks; placement known to {1e3 * sigma[:3].max():.2f} mm and ' \
-           f'{math.degrees(sigma[3:6].max()):.2f} deg'
+            f'looks; placement known to {1e3 * sigma[:3].max():.2f} mm and ' \
+            f'{math.degrees(sigma[3:6].max()):.2f} deg'
     if offsets.any():
         degrees = ', '.join(f'{math.degrees(value):.2f}' for value in offsets)
         words += f'; joint zeros off by {degrees} deg'
