@@ -18,6 +18,7 @@ from homography_servo.geometry.pose import estimate_pose
 from homography_servo.geometry.pose import PoseEstimate
 from homography_servo.geometry.pose import Prior
 from homography_servo.planning.arm_model import ArmModel
+from homography_servo.planning.joint_lead import JointLead
 from homography_servo.planning.model_learner import ModelLearner
 from homography_servo.planning.observer_settings import ObserverSettings
 from homography_servo.planning.planner import Plan
@@ -77,7 +78,9 @@ def run_pair(world: World, pair: RobotPair, noise_px: float, confirm: Confirm) -
         return Outcome(False, vetoed=True, confirmed=confirm(pair), why=planned.sentence)
     servo = Servo(world.arm.robot)
     servo.set_focal(CAMERA.fx)
-    servo.set_path(planned.poses, True, planned.sentence)
+    lead = JointLead() if planned.joints_rad is None else JointLead(
+        planned.joints_rad, planned.verdict.values.led)
+    servo.set_path(planned.poses, True, planned.sentence, lead)
     run = _world(servo, world, pair, eye)
     _stand_at_goal_then_at_start(run, pair)
     run.finish(LONGEST_S)

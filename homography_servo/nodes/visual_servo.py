@@ -31,6 +31,7 @@ from homography_servo.nodes.kit import WARN
 from homography_servo.nodes.parameters import Parameters
 from homography_servo.nodes.run import run_node
 from homography_servo.places import find_config
+from homography_servo.planning.joint_lead import JointLead
 from homography_servo.planning.servo import Command
 from homography_servo.planning.servo import FAILED
 from homography_servo.planning.servo import HOLD
@@ -78,6 +79,7 @@ class VisualServo(NodeKit, Node):
         self._camera = None
         self._poses_msg: PoseArray | None = None
         self._verdict_msg: DiagnosticArray | None = None
+        self._plan_msg: JointTrajectory | None = None
         self._shown_state, self._shown_progress = '', None
         self._publish_to()
         self._listen_to()
@@ -94,6 +96,7 @@ class VisualServo(NodeKit, Node):
     def _listen_to(self) -> None:
         self.listen(PoseArray, 'path/poses', self._on_poses, LATCHED)
         self.listen(DiagnosticArray, 'path/verdict', self._on_verdict, LATCHED)
+        self.listen(JointTrajectory, 'path/joint_trajectory', self._on_plan, LATCHED)
         self.listen(PoseWithCovarianceStamped, 'object/pose', self._on_look)
         self.listen(JointState, 'joint_states', self._on_joints)
         self.listen(CameraInfo, 'camera_info', self._on_camera, images_qos(False))
@@ -122,10 +125,17 @@ class VisualServo(NodeKit, Node):
         self._verdict_msg = msg
         self._match_path()
 
+    def _on_plan(self, msg: JointTrajectory) -> None:
+        self._plan_msg = msg
+        self._match_path()
+
     def _match_path(self) -> None:
         """Take a path only together with its own verdict: both carry the same stamp."""
         poses, verdict = self._poses_msg, self._verdict_msg
         if poses is None or verdict is None or poses.header.stamp != verdict.header.stamp:
+            return
+        lead = lead_from(verdict, self._plan_msg, self._robot.joint_names)
+        if lead is None:
             return
         self._poses_msg = self._verdict_msg = None
         path = transforms_from_poses(poses)
@@ -136,7 +146,8 @@ class VisualServo(NodeKit, Node):
             self._servo.set_path(path, False, 'the verdict of the path is empty')
         else:
             whole = verdict.status[0]
-            self._servo.set_path(path, whole.level != DiagnosticStatus.ERROR, whole.message)
+            self._servo.set_path(path, whole.level != DiagnosticStatus.ERROR, whole.message,
+                                 lead)
         self._tick()
 
     def _on_joints(self, msg: JointState) -> None:
@@ -247,6 +258,23 @@ def _robot_from(file: str) -> Robot:
         return load_robot(find_config(file))
     except FileNotFoundError as error:
         raise ConfigError(VisualServo.NAME, 0, 'robot_file', str(error)) from error
+
+
+def lead_from(verdict: DiagnosticArray, plan: JointTrajectory | None,
+              joint_names: tuple[str, ...]) -> JointLead | None:
+    """
+    Read where the planned joints lead through a singularity, and those joints.
+
+    None as long as they are needed and have not come.
+    """
+    led = np.array([any(pair.key == 'led' and pair.value == 'True' for pair in status.values)
+                    for status in verdict.status[1:]], dtype=bool)
+    if not led.any():
+        return JointLead()
+    if plan is None or plan.header.stamp != verdict.header.stamp \
+            or len(plan.points) != len(led) or tuple(plan.joint_names) != joint_names:
+        return None
+    return JointLead(np.array([point.positions for point in plan.points]), led)
 
 
 def _shown(value) -> str:

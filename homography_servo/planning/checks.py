@@ -112,14 +112,21 @@ def judge_joints(robot: Robot, followed: Followed, values: PoseValues,
     index = np.argmin(room, axis=1)
     step = np.abs(np.diff(joints, axis=0, append=joints[-1:]))
     found = conditioning(robot, joints, settings.conditioning_length_m)
+    near = (np.abs(found) < settings.conditioning_min) | _flips(found)
     found = np.abs(found) if led else found
     values = values._replace(
         reached=followed.reached, joint_index=index, joint_step_rad=step.max(axis=1),
         joint_margin_rad=room.min(axis=1), conditioning=found,
-        led=led & (found < settings.conditioning_min))
+        led=led & near)
     checks = [_reach(followed), _limits(robot, joints, values, settings),
               _steps(robot, step, values, settings)]
     return values, checks if led else [*checks, _condition(values, settings)]
+
+
+def _flips(signed: np.ndarray) -> np.ndarray:
+    """Mark both poses between which a singularity lies."""
+    flip = signed[1:] * signed[:-1] < 0.0
+    return np.append(flip, False) | np.insert(flip, 0, False)
 
 
 def conditioning(robot: Robot, joints_rad: np.ndarray, length_m: float) -> np.ndarray:

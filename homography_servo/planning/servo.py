@@ -25,6 +25,7 @@ from homography_servo.planning.control import limit_step
 from homography_servo.planning.control import move_time
 from homography_servo.planning.control import sigmas_of
 from homography_servo.planning.control import Step
+from homography_servo.planning.joint_lead import JointLead
 from homography_servo.planning.joint_track import CLOCK_JUMP_S
 from homography_servo.planning.look_filter import look_from_pose
 from homography_servo.planning.look_filter import LookFilter
@@ -99,6 +100,7 @@ class Servo:
         self.state, self.reason = IDLE, ''
         self.progress = Progress()
         self._path: np.ndarray | None = None
+        self._lead = JointLead()
         self._veto = 'no path was planned yet'
         self._attempt = _Attempt(0)
         self._target_rad: np.ndarray | None = None
@@ -124,8 +126,10 @@ class Servo:
         """Tell the focal length of the camera, None when it is unknown."""
         self.watch.focal_px = focal_px
 
-    def set_path(self, poses: np.ndarray, ok: bool, sentence: str) -> None:
+    def set_path(self, poses: np.ndarray, ok: bool, sentence: str,
+                 lead: JointLead | None = None) -> None:
         """Take a path (N, 4, 4) in home, or its veto; in mid-motion it is taken over."""
+        self._lead = lead or JointLead()
         self._veto = '' if ok and len(poses) else sentence or 'the path is empty'
         self._path = np.array(poses, dtype=float) if not self._veto else None
         if not self.active:
@@ -135,6 +139,7 @@ class Servo:
             return
         joints_rad = self._target_rad if self.state == MOVING else self.watch.joints.latest_rad
         self._aim_at(self._nearest_pose(self.filter.pose(joints_rad)))
+        self._lead_from_here(joints_rad)
 
     def add_joints(self, joints_rad: np.ndarray, stamp_s: float, now_s: float
                    ) -> Rejected | None:
@@ -276,6 +281,9 @@ class Servo:
             self._begin(here)
             if self.state != LOOKING:
                 return
+        if self._lead.passes(self._attempt.index):
+            self._pass_by(joints_rad, here, now_s)
+            return
         last = self._attempt.index == len(self._path) - 1
         allowed = self._allowed(last)
         twist = displacement(here, self._path[self._attempt.index])
@@ -290,6 +298,20 @@ class Servo:
             self._move(now_s, over)
         elif self._attempt.looks >= self.settings.looks_max:
             self._give_up_on_noise(unsure)
+
+    def _pass_by(self, joints_rad: np.ndarray, here: np.ndarray, now_s: float) -> None:
+        """Go through a singularity as planned; what looks say about it cannot be acted on."""
+        index = self._attempt.index
+        self._report(displacement(here, self._path[index]), math.nan)
+        if self._lead.arrived(index, joints_rad):
+            self._reached(now_s)
+        else:
+            self._move(now_s, math.inf)
+
+    def _lead_from_here(self, joints_rad: np.ndarray) -> None:
+        if not self._lead.note(self._attempt.index, joints_rad):
+            self._end(FAILED, 'the arm holds the object in another posture than the plan '
+                      'begins with; plan again')
 
     def _allowed(self, last: bool) -> Errors:
         scale = 1.0 if last else self.settings.via_scale
@@ -313,6 +335,7 @@ class Servo:
         looks = self._attempt.looks
         self._aim_at(index)
         self._attempt.looks = self._attempt.looks_since_stop = looks
+        self._lead_from_here(self.watch.joints.latest_rad)
 
     def _nearest_pose(self, here: np.ndarray) -> int:
         """Find the pose of the path to go on from: the first one unless another is nearer."""
@@ -331,6 +354,8 @@ class Servo:
         if self._attempt.index == len(self._path) - 1:
             self._end(DONE, '', stop=False)
             return
+        if not self._lead.passes(self._attempt.index):
+            self._lead.note(self._attempt.index, self.watch.joints.latest_rad)
         self._aim_at(self._attempt.index + 1)
         self._move(now_s, math.inf)
 
@@ -350,7 +375,11 @@ class Servo:
     def _step(self) -> Step:
         joints_rad = self.watch.joints.latest_rad
         model, settings = self.filter.model, self.settings
-        wanted = joints_for(model, joints_rad, self._path[self._attempt.index])
+        index = self._attempt.index
+        if self._lead.passes(index) or self._lead.leads(index) and not self._attempt.moves:
+            wanted = self._lead.target(index)
+        else:
+            wanted = joints_for(model, joints_rad, self._path[index])
         step = limit_step(self.robot, joints_rad, wanted, settings.servo_margin_rad,
                           settings.move_max_rad)
         travel_px = self._travel_px(step.joints_rad)
