@@ -1,0 +1,208 @@
+"""The rendered picture has its edges where the truth says."""
+
+from dataclasses import replace
+
+import cv2
+from homography_servo.geometry.camera import Camera
+from homography_servo.result import Rejected
+from homography_servo.simulation.bound import corner_bound
+from homography_servo.simulation.coverage import polygon_coverage
+from homography_servo.simulation.coverage import Region
+from homography_servo.simulation.scene import Scene
+from homography_servo.simulation.scene_settings import SceneSettings
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+CAMERA = Camera(800.0, 800.0, 319.5, 239.5, 640, 480)
+BENT = replace(CAMERA, distortion_model='plumb_bob', distortion=(-0.25, 0.0, 0.0, 0.0, 0.0))
+FACE_M = (0.10, 0.06)
+CLEAN = SceneSettings(noise_grey=0.0, blur_px=0.0, face_level=200.0, background_level=50.0)
+
+
+def pose(x=0.0, y=0.0, z=0.75, tilt_x=0.0, tilt_y=0.0, turn=0.0) -> np.ndarray:
+    """Place the box in front of the camera; angles in degrees."""
+    camera_from_object = np.eye(4)
+    camera_from_object[:3, :3] = Rotation.from_euler(
+        'xyz', [tilt_x, tilt_y, turn], degrees=True).as_matrix()
+    camera_from_object[:3, 3] = x, y, z
+    return camera_from_object
+
+
+def random_pose(rng: np.random.Generator) -> np.ndarray:
+    """Place the box anywhere in view."""
+    return pose(*rng.uniform(-0.1, 0.1, 2), rng.uniform(0.6, 1.0), *rng.uniform(-40, 40, 2),
+                rng.uniform(-180, 180))
+
+
+def polygon_area(points: np.ndarray) -> float:
+    """Compute the area of a simple polygon by the shoelace formula."""
+    following = np.roll(points, -1, axis=0)
+    return 0.5 * abs(np.sum(points[:, 0] * following[:, 1] - points[:, 1] * following[:, 0]))
+
+
+def test_coverage_of_random_polygons_has_their_area_and_centroid():
+    rng = np.random.default_rng(3)
+    for _ in range(100):
+        angles = np.sort(rng.uniform(0.0, 2.0 * np.pi, rng.integers(3, 9)))
+        if np.diff(angles, append=angles[0] + 2.0 * np.pi).max() > 3.0:
+            continue
+        polygon = rng.uniform(20, 30, 2) + rng.uniform(3, 18) * np.column_stack(
+            [np.cos(angles), np.sin(angles)])
+        share = polygon_coverage(polygon, Region(0, 0, 60, 60))
+        assert share.sum() == pytest.approx(polygon_area(polygon), abs=1e-9)
+        assert share.min() >= 0.0 and share.max() <= 1.0
+
+
+def test_coverage_of_a_rectangle_is_what_paper_and_pencil_say():
+    share = polygon_coverage(np.array([[0.75, 1.0], [2.5, 1.0], [2.5, 1.75], [0.75, 1.75]]),
+                             Region(0, 0, 4, 3))
+    # Pixels reach half a pixel around their centres: columns 1 and 2, rows 1 and 2.
+    assert share[1] == pytest.approx([0.0, 0.75 * 0.5, 1.0 * 0.5, 0.0])
+    assert share[2] == pytest.approx([0.0, 0.75 * 0.25, 1.0 * 0.25, 0.0])
+    assert share[0] == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize('sense', [1, -1])
+@pytest.mark.parametrize('region', [Region(5, 7, 20, 20), Region(20, 0, 30, 40)])
+def test_coverage_does_not_depend_on_sense_or_window(sense, region):
+    polygon = np.array([[3.2, 4.1], [40.7, 9.3], [31.0, 35.5], [-6.0, 20.0]])[::sense]
+    whole = polygon_coverage(polygon, Region(0, 0, 60, 60))
+    assert polygon_coverage(polygon, region) == pytest.approx(whole[region.slices], abs=1e-12)
+
+
+def edge_offset_px(image: np.ndarray, first: np.ndarray, second: np.ndarray) -> float:
+    """
+    Measure how far an edge lies inside of the line through two corners.
+
+    The grey levels summed along a normal tell how far the bright side reaches.
+    """
+    along = (second - first) / np.linalg.norm(second - first)
+    inwards = np.array([-along[1], along[0]])
+    reach = np.arange(-8.0, 8.0, 0.05) + 0.025
+    middles = first + np.linspace(0.25, 0.75, 200)[:, None] * (second - first)
+    points = middles[:, None] + reach[:, None] * inwards
+    levels = cv2.remap(image, points[..., 0].astype(np.float32),
+                       points[..., 1].astype(np.float32), cv2.INTER_LINEAR)
+    bright = (levels - 50.0) / 150.0
+    return 8.0 - float(bright.sum(axis=1).mean() * 0.05)
+
+
+def test_edges_lie_on_the_analytic_lines_to_a_hundredth_of_a_pixel():
+    scene, rng = Scene(CAMERA, FACE_M, 0.0, CLEAN), np.random.default_rng(5)
+    offsets = []
+    for _ in range(40):
+        camera_from_object = random_pose(rng)
+        image, corners_px = scene.clean(camera_from_object), scene.corners(camera_from_object)
+        offsets += [edge_offset_px(image.astype(np.float32), corners_px[i],
+                                   corners_px[(i + 1) % 4]) for i in range(4)]
+    assert np.abs(np.mean(offsets)) < 0.003
+    assert np.abs(offsets).max() < 0.01
+
+
+@pytest.mark.parametrize('blur_px', [0.0, 0.8, 2.0])
+@pytest.mark.parametrize('camera', [CAMERA, BENT], ids=['straight', 'bent'])
+def test_blur_keeps_area_and_centroid(camera, blur_px):
+    settings = replace(CLEAN, blur_px=blur_px)
+    camera_from_object = pose(0.05, -0.03, 0.7, 20.0, -15.0, 33.0)
+    sharp = Scene(camera, FACE_M, 0.0, CLEAN).clean(camera_from_object).astype(float) - 50.0
+    soft = Scene(camera, FACE_M, 0.0, settings).clean(camera_from_object).astype(float) - 50.0
+    assert soft.sum() == pytest.approx(sharp.sum(), rel=1e-4)
+    for axis in (0, 1):
+        weights = np.indices(sharp.shape)[axis]
+        assert (soft * weights).sum() / soft.sum() == pytest.approx(
+            (sharp * weights).sum() / sharp.sum(), abs=2e-3)
+
+
+def test_true_corners_are_the_projected_corners():
+    scene = Scene(BENT, FACE_M, 0.04)
+    camera_from_object = random_pose(np.random.default_rng(8))
+    points_m = np.array([[-0.05, -0.03, 0], [0.05, -0.03, 0], [0.05, 0.03, 0], [-0.05, 0.03, 0]])
+    in_camera = points_m @ camera_from_object[:3, :3].T + camera_from_object[:3, 3]
+    frame = scene.render(camera_from_object)
+    assert frame.true_corners_px == pytest.approx(BENT.project(in_camera), abs=1e-9)
+
+
+def test_pictures_repeat_with_seed_and_index_and_differ_otherwise():
+    camera_from_object = pose()
+    first = Scene(CAMERA, FACE_M, 0.04, seed=4).render(camera_from_object, 0.5, 7).image_grey
+    again = Scene(CAMERA, FACE_M, 0.04, seed=4).render(camera_from_object, 0.5, 7).image_grey
+    assert np.array_equal(first, again)
+    for seed, index in ((5, 7), (4, 8)):
+        other = Scene(CAMERA, FACE_M, 0.04, seed=seed).render(camera_from_object, 0.5, index)
+        assert not np.array_equal(first, other.image_grey)
+
+
+def test_noise_has_the_strength_that_was_asked_for():
+    for sigma in (0.0, 3.0, 10.0):
+        scene = Scene(CAMERA, FACE_M, 0.0, SceneSettings(noise_grey=sigma))
+        noise = scene.render(None).image_grey.astype(float) - scene.clean(None)
+        assert noise.std() == pytest.approx(np.hypot(sigma, 0.29), abs=0.3)
+        assert abs(noise.mean()) < 0.5
+
+
+def test_sides_appear_when_the_box_is_tilted_and_hide_behind_the_face():
+    scene = Scene(CAMERA, FACE_M, 0.04)
+    faces = {tilt: {outline.face for outline in scene.layers(pose(tilt_y=tilt)).faces}
+             for tilt in (-40.0, 0.0, 40.0)}
+    assert faces[0.0] == {0} and len(faces[40.0]) == 2 and len(faces[-40.0]) == 2
+    assert faces[40.0] != faces[-40.0]
+
+
+def test_a_vanished_box_leaves_only_the_background():
+    settings = SceneSettings(vanish_start_s=1.0, vanish_duration_s=0.5)
+    scene = Scene(CAMERA, FACE_M, 0.04, settings)
+    assert scene.render(pose(), 0.9).true_corners_px is not None
+    gone = scene.render(pose(), 1.2)
+    assert gone.true_corners_px is None and gone.true_camera_from_object is None
+    assert gone.image_grey.max() < 130
+    assert scene.render(pose(), 1.6).true_corners_px is not None
+
+
+@pytest.mark.parametrize('occluder', ['corner', 'side', 'sweep'])
+def test_occluders_cover_the_face_while_they_are_there(occluder):
+    settings = SceneSettings(occluder=occluder, occluder_start_s=1.0, occluder_duration_s=1.0)
+    scene = Scene(CAMERA, FACE_M, 0.0, settings)
+    bright = [np.count_nonzero(scene.clean(pose(), time_s) > 150) for time_s in (0.5, 1.5, 2.5)]
+    assert bright[1] < bright[0] - 200 and bright[2] == bright[0]
+
+
+def test_a_pose_behind_or_outside_shows_the_background():
+    scene = Scene(CAMERA, FACE_M, 0.04)
+    background = scene.clean(None)
+    for away in (pose(z=-0.5), pose(x=5.0), pose(z=0.001)):
+        picture = scene.clean(away)
+        assert np.isfinite(picture).all()
+        if away[2, 3] != 0.001:
+            assert np.array_equal(picture, background)
+
+
+def test_bound_grows_with_noise_and_shrinks_with_contrast():
+    camera_from_object = pose(0.02, 0.01, 0.75, 10.0, 5.0, 20.0)
+    scene = Scene(CAMERA, FACE_M, 0.0, SceneSettings(noise_grey=5.0))
+    bound = corner_bound(scene, camera_from_object)
+    assert np.linalg.eigvalsh(bound).min() > 0.0
+    twice = corner_bound(scene, camera_from_object, noise_grey=10.0)
+    assert np.trace(twice) / np.trace(bound) == pytest.approx(4.0, rel=0.01)
+    faint = Scene(CAMERA, FACE_M, 0.0, SceneSettings(noise_grey=5.0, face_level=137.5))
+    assert np.trace(corner_bound(faint, camera_from_object)) / np.trace(bound) == pytest.approx(
+        4.0, rel=0.01)
+
+
+@pytest.mark.parametrize('camera', [CAMERA, BENT], ids=['straight', 'bent'])
+def test_bound_is_what_a_best_linear_fit_reaches(camera):
+    """A maximum-likelihood fit of the corners, linear in so small noise, meets the bound."""
+    camera_from_object = pose(0.04, -0.02, 0.75, 15.0, -10.0, 25.0)
+    scene = Scene(camera, FACE_M, 0.04, SceneSettings(noise_grey=5.0))
+    bound = corner_bound(scene, camera_from_object)
+    side_px = np.linalg.norm(np.diff(scene.corners(camera_from_object), axis=0), axis=1).mean()
+    sigma_px = np.sqrt(np.trace(bound) / 8.0)
+    # A line of L pixels with contrast C and noise s is known to about s / C sqrt(12 / L).
+    rough_px = 5.0 / 125.0 * np.sqrt(12.0 / side_px)
+    assert 0.3 * rough_px < sigma_px < 3.0 * rough_px
+
+
+def test_a_face_that_is_cut_has_no_bound():
+    scene = Scene(CAMERA, FACE_M)
+    assert isinstance(corner_bound(scene, pose(x=0.3)), Rejected)
+    assert isinstance(corner_bound(scene, pose(turn=0.0, tilt_x=180.0)), Rejected)
