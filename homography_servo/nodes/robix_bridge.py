@@ -33,7 +33,7 @@ from homography_servo.robot.port import Port
 from homography_servo.robot.port import PortSettings
 from homography_servo.robot.rivals import Rivals
 from homography_servo.robot.robot_file import load_robot
-from homography_servo.robot.robot_file import Robot
+from homography_servo.robot.robot_model import Robot
 from homography_servo.robot.trajectory import TrajectoryPoint
 from homography_servo.robot.trajectory import TrajectorySettings
 from homography_servo.robot.urdf import urdf_text
@@ -83,7 +83,7 @@ class RobixBridge(NodeKit, LifecycleNode):
         self._port: Port | None = None
         self._driver: ArmDriver | None = None
         self._thread: ArmThread | None = None
-        self._shown_state = ''
+        self._shown_state = self._shown_problem = ''
         self._rivals = {'joint_trajectory': Rivals(), 'joint_commands': Rivals()}
         self._settings.on_change(self._on_parameters)
         self._make_interface()
@@ -279,8 +279,7 @@ class RobixBridge(NodeKit, LifecycleNode):
 
     def _on_power(self, request: SetBool.Request) -> tuple[bool, str]:
         return self._told(self._driver and self._driver.power,
-                          'power on' if request.data else 'power off',
-                          bool(request.data), time.monotonic())
+                          'power on' if request.data else 'power off', bool(request.data))
 
     def _on_pause(self, request: SetBool.Request) -> tuple[bool, str]:
         return self._told(self._driver and self._driver.pause,
@@ -315,19 +314,23 @@ class RobixBridge(NodeKit, LifecycleNode):
             self._shown_state = state
             self._state.publish(String(data=state))
             self.get_logger().info(state)
+        problem = self._driver.problem if self._driver else ''
+        if problem != self._shown_problem:
+            self._shown_problem = problem
+            self.get_logger().warning(problem or 'connected')
 
     def diagnose(self) -> list[Health]:
         """Tell how the link and the arm are."""
         if self._driver is None:
             return [Health('link', WARN, 'the port is not open')]
-        driver, link = self._driver, self._driver.link
+        driver = self._driver
         values = {'port': self._port.url, 'device': driver.device,
                   'longest_turn_s': self._thread.longest_turn_s, **driver.all_counts}
         self._thread.longest_turn_s = 0.0
-        level = OK if not link.problem else ERROR
+        level = OK if not driver.problem else ERROR
         state = driver.state
         bad = state.startswith(('HOLD', 'LATCHED', 'DISCONNECTED'))
-        return [Health('link', level, link.problem or 'connected', values),
+        return [Health('link', level, driver.problem or 'connected', values),
                 Health('arm', WARN if bad else OK, state)]
 
 

@@ -14,7 +14,7 @@ from homography_servo.errors import LinkError
 from homography_servo.robot.protocol import goto_text
 from homography_servo.robot.protocol import MAX_LINE
 from homography_servo.robot.protocol import TAIL
-from homography_servo.robot.robot_file import Robot
+from homography_servo.robot.robot_model import Robot
 from homography_servo.robot.servo_units import acceleration_units_s2
 from homography_servo.robot.servo_units import from_units
 from homography_servo.robot.servo_units import to_units
@@ -25,6 +25,7 @@ import numpy as np
 FASTEST_HZ = 50.0
 LINE_SHARE = 0.6  # of the line's bytes per second that periodic traffic may take
 CYCLE_BYTES = 75  # OK, STOPPED and POS for one target and one question
+MOST_JOINTS = 16
 _ROOM = MAX_LINE - TAIL - 6  # characters of a line without number and CRC
 
 
@@ -49,7 +50,7 @@ class ServoWire:
     Raises
     ------
     LinkError
-        When the device has too few servos for the arm.
+        When the device has too few servos for the arm, or a line is too short for it.
 
     """
 
@@ -57,6 +58,8 @@ class ServoWire:
         highest = max(joint.channel for joint in robot.joints)
         if highest > servos:
             raise LinkError(f'the robot file uses servo {highest}, the device has {servos}')
+        if len(robot.joints) > MOST_JOINTS:
+            raise LinkError(f'{len(robot.joints)} joints do not fit into one line')
         self.robot = robot
         self.tick_s = tick_s
         self._index = np.array([joint.channel - 1 for joint in robot.joints])
@@ -89,13 +92,10 @@ class ServoWire:
             everything[index] = int(value)
         return goto_text(everything)
 
-    def move(self, units: np.ndarray) -> list[str]:
+    def move(self, units: np.ndarray) -> str:
         """Write a coordinated move of all joints."""
-        text = 'move ' + ','.join(f'{index + 1} to {int(value)}'
+        return 'move ' + ','.join(f'{index + 1} to {int(value)}'
                                   for index, value in zip(self._index, units))
-        if len(text) > _ROOM:
-            raise ValueError(f'{len(units)} joints do not fit into one line')
-        return [text]
 
     def pace(self, way_units: np.ndarray, time_s: float) -> np.ndarray:
         """Give maxspd of every joint so that a move by so much takes about so long."""

@@ -47,13 +47,14 @@ class Wire(MemoryTransport):
 class Rig:
     """The whole robot side without port, thread or ROS."""
 
-    def __init__(self, device=None, settings=DriverSettings(), break_at=(), step_s=0.005):
+    def __init__(self, device=None, settings=DriverSettings(), break_at=(), step_s=0.005,
+                 first_seq=1):
         self.device = device or Device()
         self.now_s, self.step_s = 1000.0, step_s
         self.log, self.operations, self.break_at = [], 0, set(break_at)
         self.blocked = self.silent = self.absent = False
         self.spoil = lambda data: data
-        self.link = Link(self._open, settings.baud)
+        self.link = Link(self._open, settings.baud, first_seq)
         self.driver = ArmDriver(ROBOT, self.link, settings)
         self.driver.active = True
         self.states = []

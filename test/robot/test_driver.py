@@ -9,7 +9,6 @@ from homography_servo.errors import LinkError
 from homography_servo.result import Rejected
 from homography_servo.robot.device import Device
 from homography_servo.robot.driver import DriverSettings
-from homography_servo.robot.link import Link
 from homography_servo.robot.protocol import encode_line
 from homography_servo.robot.protocol import Request
 from homography_servo.robot.trajectory import TrajectoryPoint
@@ -76,7 +75,8 @@ def test_a_device_that_moves_when_the_link_comes_up_is_stopped():
 
 def test_too_few_servos_are_a_sentence():
     rig = Rig(Device(servos=4)).run(0.5)
-    assert rig.go([0.1] * 6).reason == 'not connected'
+    assert rig.go([0.1] * 6).reason == 'not connected' and rig.state == 'DISCONNECTED'
+    assert 'uses servo 6' in rig.driver.problem
     with pytest.raises(LinkError, match='uses servo 6, the device has 4'):
         ServoWire(ROBOT, 4, 0.02)
 
@@ -84,7 +84,7 @@ def test_too_few_servos_are_a_sentence():
 def test_before_the_link_is_up_nothing_is_taken():
     rig = Rig()
     assert rig.go([0.0] * 6).reason == 'not connected'
-    assert rig.driver.power(True, 0.0).reason == 'not connected'
+    assert rig.driver.power(True).reason == 'not connected'
     assert 'not connected' in rig.driver.reset(0.0).reason
     rig.run(0.2).driver.active = False
     assert rig.go([0.0] * 6).reason == 'the node is not active'
@@ -310,11 +310,11 @@ def test_pause_stands_and_going_on_ends_where_it_should(rig):
 
 def test_power_off_ends_a_motion_and_refuses_others(rig):
     moving(rig)
-    assert rig.driver.power(False, rig.now_s) is None
+    assert rig.driver.power(False) is None
     rig.run(0.1)
     assert rig.state == 'HOLD: power is off' and stands(rig)
     assert 'power is off' in rig.go([0.0] * 6).reason
-    rig.driver.power(True, rig.now_s)
+    rig.driver.power(True)
     rig.run(0.1)
     assert rig.state == 'IDLE' and rig.go([0.0] * 6) is None
 
@@ -512,9 +512,7 @@ def test_at_9600_baud_it_moves_too():
 
 
 def test_sequence_numbers_go_round_in_a_session():
-    rig = Rig()
-    rig.link = rig.driver.link = Link(rig._open, first_seq=65500)
-    rig.run(0.2)
+    rig = Rig(first_seq=65500).run(0.2)
     rig.send((1.0, [0.3] * 6), (2.0, [0.2] * 6))
     rig.run(3.0)
     numbers = [int(text.split()[0]) for text, _ in decoded(rig.log)]

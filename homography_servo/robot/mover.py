@@ -1,0 +1,203 @@
+"""Carry out trajectories over a link: one ``move``, or a stream of targets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from homography_servo.result import Rejected
+from homography_servo.robot.estimate import ArmEstimate
+from homography_servo.robot.governor import Governor
+from homography_servo.robot.limits import limits_of
+from homography_servo.robot.link import Link
+from homography_servo.robot.robot_model import Robot
+from homography_servo.robot.servo_units import unit_range
+from homography_servo.robot.servo_units import velocity_units_s
+from homography_servo.robot.streaming import TargetStream
+from homography_servo.robot.trajectory import State
+from homography_servo.robot.trajectory import stop
+from homography_servo.robot.trajectory import Trajectory
+from homography_servo.robot.wire import ServoWire
+import numpy as np
+
+ARRIVED_UNITS = 2  # a servo further from its target after DONE has not followed
+ROUNDING_RAD = 2e-3  # about two servo units
+
+
+@dataclass
+class _Motion:
+    """What the arm is doing."""
+
+    target: np.ndarray  # last one, in servo units
+    streamed: bool
+    seq: int = 0  # of the line whose DONE may end it; 0 before the first target is sent
+
+
+class Mover:
+    """
+    One motion at a time, from its acceptance to the proof that the arm has arrived.
+
+    Parameters
+    ----------
+    robot : Robot
+        The arm.
+    link : Link
+        Where lines go.
+    margin_rad : float
+        Distance to keep from the ends of every joint.
+    period_s : float
+        Time between two targets of a stream.
+
+    """
+
+    def __init__(self, robot: Robot, link: Link, margin_rad: float, period_s: float) -> None:
+        self.limits = limits_of(robot, margin_rad)
+        self.estimate = ArmEstimate()
+        self.governor = Governor(*unit_range(robot, margin_rad), velocity_units_s(robot))
+        self.standing_by = False  # the device was told to pause
+        self.next_due_s = 0.0
+        self._link = link
+        self._margin_rad = margin_rad
+        self._period_s = period_s
+        self._targets = TargetStream(robot, np.zeros(robot.count), 0.0, margin_rad)
+        self._wire: ServoWire | None = None
+        self._pace: np.ndarray | None = None
+        self._motion: _Motion | None = None
+        self._arriving: np.ndarray | None = None  # told DONE, not seen there yet
+        self._unanswered_seq = 0
+
+    def attach(self, wire: ServoWire) -> None:
+        """Begin with a device that has been told the limits of the arm."""
+        self._wire = wire
+        self._pace = wire.full_pace
+        self.estimate.clear()
+        self.forget()
+
+    def forget(self) -> None:
+        """Give up the motion: the device does not follow it any more."""
+        self._motion = self._arriving = None
+        self._unanswered_seq = 0
+        self.governor.forget()
+        self._link.drop_motion()
+
+    @property
+    def busy(self) -> bool:
+        """Tell whether the arm moves, or has not been seen at its target yet."""
+        return self._motion is not None or self._arriving is not None
+
+    @property
+    def streaming(self) -> bool:
+        """Tell whether targets have to be sent."""
+        return self._motion is not None and self._motion.streamed and not self.standing_by
+
+    # --- beginning and ending -----------------------------------------------------------
+
+    def commanded(self, now_s: float) -> State:
+        """Give what the arm is told now: the start of whatever comes next."""
+        if self._motion and self._motion.streamed:
+            return self._targets.state
+        state = self.estimate.at(now_s)
+        return State(np.clip(state.positions, self.limits.lower_rad, self.limits.upper_rad),
+                     state.velocities)
+
+    def begin(self, trajectory: Trajectory, now_s: float) -> Rejected | None:
+        """Replace the motion by another."""
+        units = self.governor.whole(self._wire.units(trajectory.goal, self._margin_rad))
+        if units is None:
+            return Rejected('the goal rounds to a servo position outside the limits')
+        if trajectory.single_point and not self.busy:
+            self._move(trajectory, units, now_s)
+        elif self._outside:
+            return Rejected('the arm stands outside its limits; call ~/home first')
+        else:
+            self._follow(trajectory, units, now_s)
+        return None
+
+    def brake(self, now_s: float) -> None:
+        """Come to rest on the way."""
+        if self._motion is None:
+            return
+        trajectory = stop(self.limits, self.commanded(now_s))
+        self._follow(trajectory, self._wire.units(trajectory.goal, self._margin_rad), now_s)
+
+    @property
+    def _outside(self) -> bool:
+        """Tell whether the arm stands outside the limits, by more than rounding."""
+        standing = self.estimate.last
+        return bool(np.any(standing < self.limits.lower_rad - ROUNDING_RAD)
+                    or np.any(standing > self.limits.upper_rad + ROUNDING_RAD))
+
+    def _move(self, trajectory: Trajectory, units: np.ndarray, now_s: float) -> None:
+        way = units - self._wire.units(self.estimate.at(now_s).positions, 0.0)
+        if not way.any():
+            return
+        self._set_pace(self._wire.pace(way, trajectory.duration_s))
+        seq = self._link.request(self._wire.move(units), motion=True)
+        self._motion = _Motion(units, streamed=False, seq=seq)
+        self.governor.forget()
+
+    def _follow(self, trajectory: Trajectory, units: np.ndarray, now_s: float) -> None:
+        if self.governor.last is None:
+            standing = self._wire.units(self.commanded(now_s).positions, self._margin_rad)
+            self.governor.start(standing, now_s - self._period_s)
+        if self._motion is None or not self._motion.streamed:
+            self._targets.restart(self.governor.last, now_s)
+            self._set_pace(self._wire.full_pace)
+        self._targets.follow(trajectory, now_s)
+        self._arriving = None
+        self._motion = _Motion(units, streamed=True)
+        self.next_due_s = min(self.next_due_s, now_s + self._period_s)
+
+    def _set_pace(self, pace: np.ndarray) -> None:
+        if np.any(pace != self._pace):
+            for line in self._wire.maxspd(pace):
+                self._link.request(line)
+            self._pace = pace
+
+    # --- going on -----------------------------------------------------------------------
+
+    def stream(self, now_s: float) -> None:
+        """Send the next target when it is time and the last one was answered."""
+        if not self.streaming or now_s < self.next_due_s or self._unanswered_seq:
+            return
+        self.next_due_s = max(self.next_due_s + self._period_s, now_s)
+        wanted = self._targets.step(now_s)
+        target = self.governor.step(wanted.units, now_s)
+        if target is not None:
+            seq = self._link.request(self._wire.goto(target), motion=True)
+            self._motion.seq = self._unanswered_seq = seq
+        elif wanted.done and not self._motion.seq:
+            self._motion = None  # all of it was too small for a servo step
+
+    def answered(self, seq: int) -> None:
+        """Take note that a line was answered."""
+        if seq == self._unanswered_seq:
+            self._unanswered_seq = 0
+
+    def over(self, seq: int, how: str) -> str:
+        """Take note that a line has run; give a sentence when that is not as it should be."""
+        motion = self._motion
+        if motion is None or seq != motion.seq:
+            return ''
+        if how == 'STOPPED':
+            return 'the device stopped a motion by itself'
+        if not motion.streamed or np.array_equal(self.governor.last, motion.target):
+            self._motion, self._arriving = None, motion.target
+        return ''
+
+    def rests(self, finished_seq: int) -> None:
+        """Take note that the device is idle; the line that said so may have been lost."""
+        if self._motion and self._motion.seq == finished_seq and not self._unanswered_seq:
+            self.over(finished_seq, 'DONE')
+
+    def heard(self, units: np.ndarray, time_s: float) -> str:
+        """Take a position; give a sentence when the arm is not where it has arrived."""
+        off = np.zeros(1)
+        if self._arriving is not None:
+            off = np.abs(units - self._arriving)
+            self._arriving = None
+            self.estimate.clear()  # replies come in order, and DONE was before: it stands
+        self.estimate.add(time_s, self._wire.joints(units))
+        if off.max() <= ARRIVED_UNITS:
+            return ''
+        name = self.limits.names[int(np.argmax(off))]
+        return f'{name} did not follow: {int(off.max())} units from its target'
