@@ -36,10 +36,13 @@ import numpy as np
 LENS_GUESS = 1.2  # focal length over image width of a camera nobody calibrated
 SLACK = 1.5  # for distances measured with it
 STEEPEST = 0.35  # cosine of the largest tilt
-LOOKED_AT = 10  # candidates fitted at most
+LOOKED_AT = 14  # candidates fitted at most
 CONVINCING = 0.8  # score that ends the search
 CLEAR_GREY = 10.0  # contrast that is no noise
+EVEN_GREY = 12.0  # differences that a face of one colour may show
+SAME_PX = 5.0
 AWAY_PX = 4.0  # distance from a side at which grey levels are compared
+STRIP_SAMPLES = np.linspace(0.15, 0.85, 7)
 WIDE = Look(1.5, 7, 3, 3, 3, 0.4, 0.5, 1.5)
 
 
@@ -52,6 +55,7 @@ class Target(NamedTuple):
     farthest_m: float
     polarity: int  # 1 bright face, -1 dark face, 0 unknown
     blur_px: float
+    guessed_lens: bool = False
 
 
 class Found(NamedTuple):
@@ -87,7 +91,7 @@ def find_face(image: np.ndarray, target: Target, plane: Plane,
     if plane.camera is None:
         plane = _typical_plane(image.shape)
         target = target._replace(nearest_m=target.nearest_m / SLACK,
-                                 farthest_m=target.farthest_m * SLACK)
+                                 farthest_m=target.farthest_m * SLACK, guessed_lens=True)
     best, reason = None, 'no quadrilateral in the image can be the face'
     for quad in candidates(image, target, plane):
         found = examine(image, quad, target, plane, expected)
@@ -110,15 +114,28 @@ def candidates(image: np.ndarray, target: Target, plane: Plane) -> np.ndarray:
     contrast, inside = side_contrast(image, quads, AWAY_PX)
     quads = plane.from_image(quads)
     cosine, in_reach = _affine_pose(quads, target, plane)
-    sign = np.sign(np.median(contrast.reshape(len(quads), -1), axis=1)) \
-        if target.polarity == 0 else np.full(len(quads), target.polarity)
-    shown = (contrast * sign[:, None, None] > CLEAR_GREY).mean(axis=2)
-    uneven = inside.reshape(len(quads), -1).std(axis=1) \
-        / (np.abs(contrast).mean(axis=(1, 2)) + CLEAR_GREY)
-    merit = shown.mean(axis=1) + shown.min(axis=1) - np.minimum(uneven, 1.0) + 0.3 * cosine
-    merit[~in_reach | (shown.mean(axis=1) < 0.5)] = -np.inf
-    order = np.argsort(-merit)[:LOOKED_AT]
-    return quads[order[np.isfinite(merit[order])]]
+    signed = np.abs(contrast) if target.polarity == 0 else contrast * target.polarity
+    levels = inside.reshape(len(quads), -1)
+    even = np.abs(levels - np.median(levels, axis=1, keepdims=True)) < EVEN_GREY
+    across = quads[:, 2:] - quads[:, :2]
+    area = np.abs(across[:, 0, 0] * across[:, 1, 1] - across[:, 0, 1] * across[:, 1, 0])
+    shown = (signed > CLEAR_GREY).mean(axis=(1, 2))
+    merit = shown + 2.0 * even.mean(axis=1) + 0.3 * cosine + 0.1 * np.log(area / least)
+    merit[~in_reach | (shown < 0.5)] = -np.inf
+    return _distinct(quads[np.argsort(-merit)[:np.isfinite(merit).sum()]])
+
+
+def _distinct(quads: np.ndarray) -> np.ndarray:
+    """Keep the first of those whose centre and extent are alike."""
+    far = quads - quads.mean(axis=1, keepdims=True)
+    marks = np.column_stack([quads.mean(axis=1), np.abs(far).max(axis=1)])
+    kept: list[int] = []
+    for index, mark in enumerate(marks):
+        if not kept or np.abs(marks[kept] - mark).max(axis=1).min() > SAME_PX:
+            kept.append(index)
+        if len(kept) == LOOKED_AT:
+            break
+    return quads[kept]
 
 
 def _affine_pose(quads: np.ndarray, target: Target,
@@ -148,18 +165,19 @@ def _typical_plane(shape: tuple[int, ...]) -> Plane:
 def examine(image: np.ndarray, quad: np.ndarray, target: Target, plane: Plane,
             expected: np.ndarray | None = None) -> Found | Rejected:
     """Fit a candidate and check that it can be the face."""
-    fit: SnakeFit | Rejected = Rejected('')
-    for look in (WIDE, Look(target.blur_px, 5)):
-        fit = fit_snake(image, quad, look, plane, None, target.polarity)
-        if isinstance(fit, Rejected):
-            return fit
-        quad = fit.corners
+    fit = fit_snake(image, quad, WIDE, plane, None, target.polarity)
+    if isinstance(fit, Rejected):
+        return fit
+    if best_pose(fit.corners, target.face_size_m, plane)[1] > 2.0 + 0.03 * _size(fit.corners):
+        return Rejected('the proportions are not those of the face')
+    fit = fit_snake(image, fit.corners, Look(target.blur_px, 5), plane, None, target.polarity)
+    if isinstance(fit, Rejected):
+        return fit
     quality = quality_of(fit)
     if quality.inlier_share < 0.6 or quality.side_share.min() < 0.25:
         return Rejected('the edges do not support the quadrilateral')
     pose, miss_px, turns = best_pose(fit.corners, target.face_size_m, plane)
-    size = float(np.sqrt(np.abs(np.linalg.det(fit.corners[[1, 2]] - fit.corners[0]))))
-    allowed_px = 0.5 + (0.01 if plane.camera is not None else 0.03) * size
+    allowed_px = 0.4 + (0.03 if target.guessed_lens else 0.01) * _size(fit.corners)
     if miss_px > allowed_px:
         return Rejected('the proportions are not those of the face')
     cosine = abs(float(pose.rotation[:, 2] @ pose.translation)) \
@@ -167,8 +185,8 @@ def examine(image: np.ndarray, quad: np.ndarray, target: Target, plane: Plane,
     if not target.nearest_m < pose.translation[2] < target.farthest_m or cosine < STEEPEST:
         return Rejected('the face would be out of reach')
     turn = min(turns, key=lambda number: _turn_cost(fit.corners, number, expected))
-    score = quality.inlier_share * quality.side_share.min() ** 0.5 * cosine ** 0.5 \
-        * (1.0 - 0.5 * miss_px / allowed_px) * _evenness(fit) \
+    score = quality.inlier_share * quality.side_share.min() ** 0.25 * cosine ** 0.25 \
+        * float(np.exp(-miss_px / (0.6 * allowed_px))) * _evenness(fit) \
         * _box_evidence(image, fit.corners, turns[0], target, plane)
     return Found(turned_fit(fit, turn), quality, float(score), miss_px)
 
@@ -197,6 +215,11 @@ def best_pose(quad: np.ndarray, face_size_m: tuple[float, float], plane: Plane
     return (None if np.isinf(missed[better]) else poses[better]), missed[better], turns
 
 
+def _size(quad: np.ndarray) -> float:
+    across, down = quad[1] - quad[0], quad[3] - quad[0]
+    return float(np.sqrt(np.abs(across[0] * down[1] - across[1] * down[0])))
+
+
 def _evenness(fit: SnakeFit) -> float:
     """Rate how alike the sides look from inside, 0 to 1."""
     edges, good = fit.edges, fit.weight > 0.1
@@ -209,16 +232,16 @@ def _evenness(fit: SnakeFit) -> float:
 
 def _box_evidence(image: np.ndarray, corners: np.ndarray, turn: int, target: Target,
                   plane: Plane) -> float:
-    """Rate whether the sides of the box show where they must, 0.6 to 1."""
+    """Rate whether the sides of the box show where they must, 0.4 to 1."""
     if target.box_height_m <= 0.0:
         return 1.0
     outline = BoxSides(target.face_size_m, target.box_height_m, plane).outline(
         np.roll(corners, -turn, axis=0))
     if isinstance(outline, Rejected):
-        return 0.6
+        return 0.4
     seen = [_strip_shows(image, np.roll(corners, -turn, axis=0), outline, side, plane)
             for side in range(4) if outline.width[side].mean() > 4.0]
-    return 0.6 + 0.4 * float(np.mean(seen)) if seen else 0.85
+    return 0.4 + 0.6 * float(np.mean(seen)) if seen else 0.75
 
 
 def _strip_shows(image: np.ndarray, corners: np.ndarray, outline: Outline, side: int,
@@ -227,16 +250,18 @@ def _strip_shows(image: np.ndarray, corners: np.ndarray, outline: Outline, side:
     first, second = corners[side], corners[(side + 1) % 4]
     along = second - first
     outward = np.array([along[1], -along[0]]) / np.linalg.norm(along)
-    share = np.array([0.25, 0.4, 0.6, 0.75])[:, None]
+    share = STRIP_SAMPLES[:, None]
     reach = outline.reach[side, 0] + share * (outline.reach[side, 1] - outline.reach[side, 0])
     width = outline.width[side, 0] + share * (outline.width[side, 1] - outline.width[side, 0])
     at = first + reach * along
     face, strip, near, behind = (
         grey_at(image, plane.to_image(at + away * outward))
         for away in (-AWAY_PX, 0.5 * width, width - 2.0, width + 3.0))
-    step = np.abs(near - behind) / CLEAR_GREY
-    even = np.abs(face - strip) > CLEAR_GREY
-    return float(np.minimum(np.median(step), 1.0) * even.mean())
+    common = np.median(np.concatenate([strip, near]))
+    even = (np.abs(np.concatenate([strip, near]) - common) < EVEN_GREY).mean()
+    ends = np.minimum(np.abs(behind - common) / CLEAR_GREY, 1.0).mean()
+    apart = (np.abs(face - strip) > CLEAR_GREY).mean()
+    return float(even ** 2 * ends * apart)
 
 
 def _turn_cost(quad: np.ndarray, turn: int, expected: np.ndarray | None) -> float:
