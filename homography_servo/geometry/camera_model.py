@@ -11,7 +11,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Sequence
 
+from homography_servo.geometry.distortion import Model
 from homography_servo.geometry.distortion import MODELS
+from homography_servo.geometry.distortion import reach
 from homography_servo.geometry.distortion import undistort
 from homography_servo.result import Rejected
 import numpy as np
@@ -71,11 +73,12 @@ class Camera:
         return np.where(ahead, pixels, np.inf)
 
     def project_rays(self, rays: np.ndarray) -> np.ndarray:
-        """Turn ideal normalised coordinates (..., 2) into pixels (..., 2)."""
+        """Turn ideal rays (..., 2) into pixels (..., 2); ``inf`` beyond where the lens holds."""
         rays = _last_axis(rays, 2, 'rays')
-        if self.bends:
-            rays, _ = MODELS[self.distortion_model].distort(rays, np.array(self.distortion))
-        return rays * self._focal + self._centre
+        if not self.bends:
+            return rays * self._focal + self._centre
+        bent, _ = self._model.distort(rays, self._coefficients)
+        return self._within(rays, bent * self._focal + self._centre)
 
     def rays(self, points_px: np.ndarray) -> np.ndarray:
         """
@@ -95,14 +98,15 @@ class Camera:
         bent = (_last_axis(points_px, 2, 'points_px') - self._centre) / self._focal
         if not self.bends:
             return bent
-        return undistort(MODELS[self.distortion_model], bent, np.array(self.distortion))
+        rays = undistort(self._model, bent, self._coefficients)
+        return self._within(rays, rays)
 
     def jacobian(self, rays: np.ndarray) -> np.ndarray:
         """Differentiate pixels by ideal normalised coordinates (..., 2): (..., 2, 2)."""
         rays = _last_axis(rays, 2, 'rays')
         if not self.bends:
             return np.broadcast_to(np.diag(self._focal), (*rays.shape, 2))
-        _, slope = MODELS[self.distortion_model].distort(rays, np.array(self.distortion))
+        _, slope = self._model.distort(rays, self._coefficients)
         return self._focal[:, None] * slope
 
     def contains(self, points_px: np.ndarray, margin_px: float = 0.0) -> np.ndarray:
@@ -110,6 +114,23 @@ class Camera:
         points = _last_axis(points_px, 2, 'points_px')
         last = np.array([self.width - 1.0, self.height - 1.0])
         return ((points >= margin_px) & (points <= last - margin_px)).all(axis=-1)
+
+    def _within(self, rays: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Keep values whose rays the lens model holds for."""
+        squared = (rays * rays).sum(axis=-1, keepdims=True)
+        return np.where(squared <= self._reach**2, values, np.inf)
+
+    @cached_property
+    def _reach(self) -> float:
+        return reach(self._model, self._coefficients)
+
+    @cached_property
+    def _model(self) -> Model:
+        return MODELS[self.distortion_model]
+
+    @cached_property
+    def _coefficients(self) -> np.ndarray:
+        return np.array(self.distortion)
 
     @cached_property
     def _focal(self) -> np.ndarray:

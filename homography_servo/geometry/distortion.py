@@ -10,13 +10,15 @@ Distortion of Lenses (1966); for equidistant Kannala and Brandt, IEEE TPAMI 28(8
 
 from __future__ import annotations
 
+import math
 from typing import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 _NEWTON_STEPS = 30
-_TOLERANCE = 1e-12  # normalised image units: far below a billionth of a pixel
+_TOLERANCE = 1e-7  # of a step, in normalised image units; the error after it is its square
+_WIDEST = 10.0  # rays further out (84 deg off the axis) are not looked at
 
 
 class Model(NamedTuple):
@@ -98,11 +100,36 @@ def undistort(model: Model, distorted: np.ndarray, k: np.ndarray) -> np.ndarray:
             rays = rays + step
             if not np.any(np.abs(step) > _TOLERANCE):
                 break
-        bent, jacobian = model.distort(rays, k)
-        # Beyond the fold of the polynomial Newton may land on a ray that is bent backwards.
-        folded = jacobian[..., 0, 0] * jacobian[..., 1, 1] <= jacobian[..., 0, 1]**2
-        good = (np.abs(bent - distorted) < 1e-9).all(axis=-1) & ~folded
+        bent, _ = model.distort(rays, k)
+        good = (np.abs(bent - distorted) < 1e-9).all(axis=-1)
     return np.where(good[..., None], rays, np.inf)
+
+
+def reach(model: Model, k: np.ndarray) -> float:
+    """
+    Find how far from the axis a lens model holds.
+
+    Beyond some radius the polynomials fold back into the image: there they describe no
+    lens, and a point far outside the view would seem to be inside.
+
+    Parameters
+    ----------
+    model : Model
+        An entry of `MODELS`.
+    k : (K,) array
+        The coefficients.
+
+    Returns
+    -------
+    float
+        Largest radius of ideal rays; ``inf`` if there is no fold.
+
+    """
+    radius = np.linspace(0.0, _WIDEST, 4001)
+    with np.errstate(all='ignore'):
+        bent, jacobian = model.distort(np.column_stack([radius, np.zeros_like(radius)]), k)
+        rising = (jacobian[1:, 0, 0] > 0.0) & (np.diff(bent[:, 0]) > 0.0)
+    return math.inf if rising.all() else float(radius[np.argmin(rising)])
 
 
 def _first_guess(model: Model, distorted: np.ndarray) -> np.ndarray:

@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 import math
 
-import cv2
 from homography_servo.geometry.camera_model import Camera
 from homography_servo.geometry.pose_refine import Fit
 from homography_servo.geometry.pose_refine import refine
@@ -169,6 +168,8 @@ def _starts(shape: Shape, views: Views) -> tuple[np.ndarray, np.ndarray] | Rejec
 def solid_starts(shape: Shape, points_m: np.ndarray, rays: np.ndarray
                  ) -> tuple[np.ndarray, np.ndarray] | Rejected:
     """Start an object (3, N) that is not flat by SQPNP, and by the mirror image of that."""
+    import cv2  # only solid objects need it
+
     try:
         found, turn, shift = cv2.solvePnP(np.ascontiguousarray(points_m.T),
                                           np.ascontiguousarray(rays.T), np.eye(3), None,
