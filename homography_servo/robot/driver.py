@@ -21,7 +21,6 @@ from homography_servo.errors import LinkError
 from homography_servo.result import Rejected
 from homography_servo.robot.link import Down
 from homography_servo.robot.link import Link
-from homography_servo.robot.link import LinkEvent
 from homography_servo.robot.link import Up
 from homography_servo.robot.mover import Mover
 from homography_servo.robot.protocol import Notice

@@ -1,5 +1,5 @@
 """
-The servos of the reference device: properties, command queue, interpolator.
+The servos of the reference device: command queue and interpolator.
 
 Time is an argument; nothing here knows bytes or replies. Jobs (lines of script) run one
 after the other; `finished` tells which ended, and how.
@@ -11,6 +11,8 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Iterator, NamedTuple, Sequence
 
+from homography_servo.robot.macros import expanded
+from homography_servo.robot.macros import with_macros
 from homography_servo.robot.profile import brake
 from homography_servo.robot.profile import constant
 from homography_servo.robot.profile import Profile
@@ -20,23 +22,17 @@ from homography_servo.robot.profile import together
 from homography_servo.robot.protocol import NOT_NOW
 from homography_servo.robot.script import Assign
 from homography_servo.robot.script import Call
-from homography_servo.robot.script import CALLS_ITSELF
 from homography_servo.robot.script import Command
 from homography_servo.robot.script import Macro
 from homography_servo.robot.script import Move
-from homography_servo.robot.script import OUT_OF_RANGE
 from homography_servo.robot.script import Restart
 from homography_servo.robot.script import Script
 from homography_servo.robot.script import ScriptError
 from homography_servo.robot.script import Token
-from homography_servo.robot.script import UNKNOWN
 from homography_servo.robot.script import Wait
+from homography_servo.robot.servo_table import Table
 
-DEFAULTS = {'minpos': -1400, 'maxpos': 1400, 'initpos': 0, 'p0pos': 3000, 'maxspd': 100,
-            'accel': 10, 'decel': 10, 'invert': 0, 'power': 100}
-PULSE = (800, 5400)  # what a servo can be sent; a position is a pulse minus p0pos
 MAX_QUEUE = 64
-MAX_MACROS = 100
 CHECKED_AHEAD = 2000  # commands of one line looked at before it is accepted
 STEPS_AT_ONCE = 1000  # commands without duration run in one call
 
@@ -48,63 +44,6 @@ class Ended(NamedTuple):
 
     seq: int
     how: str
-
-
-class Table:
-    """Properties of all servos and where they are told to be."""
-
-    def __init__(self, servos: int) -> None:
-        self.rows = [dict(DEFAULTS) for _ in range(servos)]
-        self.targets = [0.0] * servos
-
-    def copy(self) -> Table:
-        """Make an independent copy."""
-        twin = Table(0)
-        twin.rows = [dict(row) for row in self.rows]
-        twin.targets = list(self.targets)
-        return twin
-
-    def assign(self, command: Assign) -> None:
-        """Set properties; a value that does not fit raises ScriptError."""
-        for servo in command.servos:
-            for name in command.names:
-                value = DEFAULTS[name] if command.value == 'default' else command.value
-                self._assign(servo, name, value, command.at)
-
-    def _assign(self, servo: int, name: str, value: int, at: Token) -> None:
-        row = {**self.rows[servo], name: value}
-        if name == 'p0pos' and not PULSE[0] <= value <= PULSE[1]:
-            raise at.error(OUT_OF_RANGE)
-        places = [row['minpos'], row['maxpos'], row['initpos']]
-        if not all(PULSE[0] <= place + row['p0pos'] <= PULSE[1] for place in places) \
-                or row['minpos'] > row['maxpos']:
-            raise at.error(OUT_OF_RANGE)
-        self.targets[servo] += self.rows[servo]['p0pos'] - row['p0pos']
-        self.rows[servo] = row
-
-    def aim(self, command: Move | Restart) -> list[float]:
-        """Give the targets that a motion command leads to; raises ScriptError."""
-        targets = list(self.targets)
-        clauses = [] if isinstance(command, Restart) else command.clauses
-        for clause in clauses:
-            for servo in clause.servos:
-                place = clause.to if isinstance(clause.to, int) else \
-                    self.rows[servo].get(clause.to)
-                targets[servo] = place if clause.by is None else targets[servo] + clause.by
-                self.check(servo, targets[servo], clause.at)
-        if isinstance(command, Restart):
-            targets = [float(row['initpos']) for row in self.rows]
-            for servo, target in enumerate(targets):
-                self.check(servo, target, command.at)
-        return targets
-
-    def check(self, servo: int, target: float, at: Token) -> None:
-        """Refuse a target outside minpos..maxpos, or motion of a servo without power."""
-        row = self.rows[servo]
-        if not row['minpos'] <= target <= row['maxpos']:
-            raise at.error(OUT_OF_RANGE)
-        if row['power'] == 0 and target != self.targets[servo]:
-            raise at.error(NOT_NOW)
 
 
 @dataclass
@@ -185,10 +124,10 @@ class Machine:
         self.step(now_s)
         if self.waiting >= MAX_QUEUE:
             raise ScriptError(NOT_NOW, 0, 'queue')
-        macros = self._with_macros(script)
+        macros = with_macros(self.macros, script)
         moves = False
         ahead = (self._ahead or self.table).copy()
-        for number, command in enumerate(_expanded(script.commands, macros)):
+        for number, command in enumerate(expanded(script.commands, macros)):
             if number >= CHECKED_AHEAD:
                 break
             moves |= isinstance(command, (Move, Restart))
@@ -197,7 +136,7 @@ class Machine:
             _look_ahead(ahead, command)
         self.macros = macros
         self._ahead = ahead
-        self._queue.append(Job(seq, _expanded(script.commands, macros)))
+        self._queue.append(Job(seq, expanded(script.commands, macros)))
         self.step(now_s)
 
     def goto(self, seq: int, words: Sequence[Token], now_s: float) -> None:
@@ -368,52 +307,9 @@ class Machine:
         if not self._queue:
             self._ahead = None
 
-    # --- macros ---------------------------------------------------------------------
-
-    def _with_macros(self, script: Script) -> dict[str, Macro]:
-        """Add the macros of a script (the first definition wins) and check all calls."""
-        macros = dict(self.macros)
-        for macro in script.macros:
-            if len(macros) >= MAX_MACROS:
-                raise macro.at.error(NOT_NOW)
-            macros.setdefault(macro.name, macro)
-        for macro in script.macros:
-            for call in _calls(macro.body):
-                if macro.name in _reached(call.name, macros):
-                    raise call.at.error(CALLS_ITSELF)
-        for call in _calls(script.commands):
-            if not _reached(call.name, macros) <= macros.keys():
-                raise call.at.error(UNKNOWN)
-        return macros
-
 
 def _look_ahead(table: Table, command: Command) -> None:
     if isinstance(command, Assign):
         table.assign(command)
     elif isinstance(command, (Move, Restart)):
         table.targets = table.aim(command)
-
-
-def _expanded(commands: Sequence[Command], macros: dict[str, Macro]) -> Iterator[Command]:
-    for command in commands:
-        if not isinstance(command, Call):
-            yield command
-            continue
-        for _ in range(command.count):
-            yield command  # counts as a step, so that empty macros cannot run for ever
-            yield from _expanded(macros[command.name].body, macros)
-
-
-def _calls(commands: Sequence[Command]) -> list[Call]:
-    return [command for command in commands if isinstance(command, Call)]
-
-
-def _reached(name: str, macros: dict[str, Macro]) -> set[str]:
-    """Give the names that a call leads to; names without a macro may be defined later."""
-    seen, todo = set(), [name]
-    while todo:
-        name = todo.pop()
-        if name not in seen:
-            seen.add(name)
-            todo += [call.name for call in _calls(macros[name].body)] if name in macros else []
-    return seen
