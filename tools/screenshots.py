@@ -68,7 +68,7 @@ def wait(condition: Callable, sentence: str):
 
 def half_way(browser: Browser) -> bool:
     """Tell whether the servo is in the second half of the path."""
-    found = re.match(r'pose (\d+) of (\d+)', browser.text('#target'))
+    found = re.search(r'pose (\d+) of (\d+)', browser.text('#target'))
     return bool(found) and 2 * int(found.group(1)) > int(found.group(2))
 
 

@@ -81,6 +81,7 @@ def progress_fact(msg: DiagnosticStatus) -> dict[str, Any]:
     position_m, rotation_rad = (number(values.get(key)) for key in
                                 ('position_error_m', 'rotation_error_rad'))
     return {'pose': number(values.get('pose')), 'of': number(values.get('of')),
+            'reached': values.get('reached') == 'true',
             'iterations': number(values.get('iterations')),
             'position_error_mm': None if position_m is None else round(1e3 * position_m, 4),
             'rotation_error_deg': None if rotation_rad is None

@@ -160,8 +160,12 @@ def test_the_page_shows_moving_pictures_and_all_there_is_to_know(cell, browser):
     say(cell, browser, '#state-visual_servo', 'LOOKING')
     say(cell, browser, '#state-snake_tracker', 'TRACKING')
     say(cell, browser, '#verdict-sentence', 'pose 3: a corner leaves the image')
-    say(cell, browser, '#target', 'pose 2 of 3, look 4')
+    say(cell, browser, '#target', 'to pose 2 of 3, move 4')
     say(cell, browser, '#verdict-table tr.here', '2')
+    cell.progress.publish(status('visual_servo: progress', b'\0', 'MOVING', pose=2, of=3,
+                                 reached='true', position_error_m=0.0123))
+    say(cell, browser, '#target', 'to pose 3 of 3')
+    say(cell, browser, '#verdict-table tr.here', '3')
     say(cell, browser, '#verdict-table tr.error', '<img src=x> outside')
     say(cell, browser, '#node-robix_bridge', 'two bytes were lost')
     say(cell, browser, '#legend-joints', 'joint6')

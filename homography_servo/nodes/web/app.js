@@ -76,8 +76,9 @@ function show(changed) {
 
 function target() { // index of the pose that the servo goes to, or null
   const busy = /^(MOVING|LOOKING|HOLD)/.test(facts['state/visual_servo'] || '');
-  const pose = facts.progress && facts.progress.pose;
-  return busy && pose ? pose - 1 : null;
+  const { pose, of, reached } = facts.progress || {};
+  if (!busy || !pose) return null;
+  return reached && pose < of ? pose : pose - 1; // a pose that is reached gives way to the next
 }
 
 function showPath() {
@@ -89,7 +90,8 @@ function showPath() {
   picture.draw();
   const { progress } = facts;
   byId('target').textContent = picture.target !== null
-    ? `pose ${progress.pose} of ${progress.of}, look ${progress.iterations}`
+    ? `to pose ${picture.target + 1} of ${progress.of}${
+      progress.iterations > 1 && !progress.reached ? `, move ${progress.iterations}` : ''}`
     : picture.path.length ? `a path of ${picture.path.length} poses` : 'no path';
 }
 
