@@ -26,6 +26,7 @@ import numpy as np
 FAR_SIGMAS = 3.0  # far pixels that differ by more than this have another grey level
 FLAT_GREY = 1.0  # and uneven light makes them differ by this much
 MOST_POOLED = 300.0  # pixels that the other segments may stand for
+SQUARE = 0.02  # cosine of a corner that may be taken for a right angle
 LINEAR_SHARE = 0.85  # of the largest offset that the linear step can show
 
 
@@ -97,8 +98,7 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
     place = profile.places(first, step, len(scan.grey))
     share, slope = profile.share(place), profile.slope(place)
     total = scan.grey.shape[1]
-    share[:, scan.near] *= share[:, total:]
-    slope[:, scan.near] *= share[:, total:]
+    _cut_corners(scan, geometry, profile, first, step, share, slope)
     share, slope = share[:, :total], slope[:, :total]
     back = None
     if strips is not None:
@@ -132,6 +132,34 @@ def line_distances(scan: Scan, geometry: Geometry) -> tuple[np.ndarray, ...]:
         return first, step, None
     scale = 1.0 / np.sqrt(scan.du * scan.du + scan.dv * scan.dv)
     return first * scale, step * scale, scale
+
+
+def _cut_corners(scan: Scan, geometry: Geometry, profile: EdgeProfile, first: np.ndarray,
+                 step: np.ndarray, share: np.ndarray, slope: np.ndarray) -> None:
+    """
+    Let the next side cut off the lines close to a corner, in place.
+
+    The share of a blurred wedge is that of two correlated normal variables, by its
+    series in the correlation (which is 0 at a right angle).
+    """
+    total, near = scan.grey.shape[1], scan.near
+    own, other = scan.side[near], scan.side[total:]
+    skew = -(geometry.normal_u.take(own) * geometry.normal_u.take(other)
+             + geometry.normal_v.take(own) * geometry.normal_v.take(other)).astype(np.float32)
+    cut_share, cut_slope = share[:, total:], slope[:, total:]
+    own_share, own_slope = share.take(near, axis=1), slope.take(near, axis=1)
+    if np.abs(skew).max(initial=0.0) < SQUARE:
+        share[:, near], slope[:, near] = own_share * cut_share, own_slope * cut_share
+        return
+    count = np.arange(len(share), dtype=np.float32)[:, None]
+    away = (first[near] + count * step[near]).astype(np.float32)
+    beyond = (first[total:] + count * step[total:]).astype(np.float32)
+    twist = -skew * cut_slope
+    variance = np.float32(profile.sigma_px ** 2)
+    half = 0.5 * twist * skew * beyond
+    share[:, near] = own_share * cut_share + own_slope * (variance * twist - half * away)
+    slope[:, near] = own_slope * (cut_share - twist * away
+                                  + half * (away * away / variance - 1.0))
 
 
 def _sums(scan: Scan, share: np.ndarray, slope: np.ndarray) -> Sums:
@@ -187,17 +215,22 @@ def _pooled(sums: Sums, noise: float) -> Sums:
     A level common to all segments counts like noise / scatter more pixels of it.
     """
     outside, contrast, _ = _two_levels(sums)
-    counts, levels = [], []
-    for level, seen in ((outside, sums.one - sums.share), (outside + contrast, sums.share)):
-        common = middle(level)
-        scatter = (1.48 * middle(np.abs(level - common))) ** 2 - noise / middle(seen)
-        counts.append(min(noise / max(scatter, 1e-3 * noise), MOST_POOLED))
-        levels.append(common)
-    count_in, grey_in = counts[1], counts[1] * levels[1]
-    return sums._replace(one=sums.one + (counts[0] + count_in), share=sums.share + count_in,
+    count_out, grey_out = _common(outside, sums.one - sums.share, noise)
+    count_in, grey_in = _common(outside + contrast, sums.share, noise)
+    return sums._replace(one=sums.one + count_out + count_in, share=sums.share + count_in,
                          share_share=sums.share_share + count_in,
-                         grey=sums.grey + (counts[0] * levels[0] + grey_in),
-                         share_grey=sums.share_grey + grey_in)
+                         grey=sums.grey + count_out * grey_out + count_in * grey_in,
+                         share_grey=sums.share_grey + count_in * grey_in)
+
+
+def _common(level: np.ndarray, pixels: np.ndarray, noise: float) -> tuple[np.ndarray, float]:
+    """Give the pixels that a common level stands for in each segment, and that level."""
+    common = middle(level)
+    away = np.abs(level - common)
+    spread = (1.48 * middle(away)) ** 2
+    scatter = max(spread - noise / middle(pixels), 1e-3 * noise)
+    alike = away < FAR_SIGMAS * spread ** 0.5 + FLAT_GREY  # others have a level of their own
+    return alike * min(noise / scatter, MOST_POOLED), common
 
 
 def _two_levels(sums: Sums) -> tuple[np.ndarray, ...]:

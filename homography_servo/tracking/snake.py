@@ -37,7 +37,7 @@ class Look(NamedTuple):
     stride: int = 1  # distance of the scan lines [px]
     lines: int = 6  # scan lines per segment
     iterations: int = 3  # linear steps at most
-    done_px: float = 0.25  # a smaller step is the last one
+    done_px: float = 0.05  # a smaller step is the last one
     sure_px: float = 0.15  # scatter between segments that is not surprising
     first_sure_px: float = 0.6  # the same in the first round
 

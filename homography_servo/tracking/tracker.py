@@ -80,6 +80,13 @@ class Tracker:
     @camera.setter
     def camera(self, camera: Camera | None) -> None:
         self._plane = Plane(camera)
+        self._box = self._sides()
+
+    def _sides(self) -> BoxSides | None:
+        """Describe the sides of the box, which can be predicted with a known lens only."""
+        if self.box_height_m > 0.0 and self.camera is not None:
+            return BoxSides(self.face_size_m, self.box_height_m, self._plane)
+        return None
 
     @property
     def state(self) -> str:
@@ -90,9 +97,7 @@ class Tracker:
         """Forget the object and look for it again."""
         self._state = SEARCHING
         self._motion: Motion | None = None
-        self._box = None
-        if self.box_height_m > 0.0 and self.camera is not None:
-            self._box = BoxSides(self.face_size_m, self.box_height_m, self._plane)
+        self._box = self._sides()
         self._size: tuple[int, ...] | None = None
         self._confirmed = 0  # good frames since the face was found
         self._missed = 0
