@@ -35,6 +35,8 @@ from std_msgs.msg import Header
 
 DEFAULT_RATE_HZ = 30.0
 FASTEST_HZ = 1000.0
+REOPEN_S = 2.0
+SETTLE_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,8 @@ class VideoCamera(NodeKit, Node):
         self._image = self.create_publisher(Image, 'image', qos)
         self._info = self.create_publisher(CameraInfo, 'camera_info', qos)
         self._closing = threading.Event()
-        self._last_s = time.monotonic()
+        self._last_s = self._opened_s = time.monotonic()
+        self._heard_s: float | None = None
         self._reader: threading.Thread | None = None
         if self._device:  # waiting for a device must not hold up services and signals
             self._reader = threading.Thread(target=self._read_device, daemon=True)
@@ -89,22 +92,47 @@ class VideoCamera(NodeKit, Node):
         return wanted_hz or (file_hz if usable else DEFAULT_RATE_HZ)
 
     def _read_device(self) -> None:
-        pause_s = 1.0 / self._settings[VideoCameraSettings].rate_hz \
-            if self._settings[VideoCameraSettings].rate_hz else 0.0
+        wanted_hz = self._settings[VideoCameraSettings].rate_hz
+        pause_s = 1.0 / wanted_hz if wanted_hz else 0.0
+        read_one = self.guarded(self._next_of_device)
         while not self._closing.is_set():
             began_s = time.monotonic()
-            good, pixels = self._capture.read()
-            if not good:
-                self.complain('the camera gives no picture', key='read')
-                self._closing.wait(0.1)
-                continue
-            self._publish(pixels)
+            read_one()
             self._closing.wait(max(0.0, pause_s - (time.monotonic() - began_s)))
+
+    def _next_of_device(self) -> None:
+        good, pixels = self._capture.read()
+        if good:
+            self._publish(pixels)
+            return
+        self.complain('the camera gives no picture', key='read')
+        self._closing.wait(0.1)
+        if time.monotonic() - max(self._last_s, self._opened_s) > REOPEN_S:
+            self._reopen()
+
+    def _reopen(self) -> None:
+        """Open the device anew: one that was unplugged never comes back by itself."""
+        self._opened_s = time.monotonic()
+        self._capture.release()
+        try:
+            self._capture = _open(self._settings[VideoCameraSettings].source)
+            self.count('reopened')
+        except HardwareError as error:
+            self.complain(str(error), key='reopen')
+
+    def _may_begin(self, settings: VideoCameraSettings) -> bool:
+        """Wait for a subscriber, and a moment more: it must know this publisher too."""
+        if not settings.wait_for_subscriber or self.counts['images']:
+            return True
+        if not self._image.get_subscription_count():
+            self._heard_s = None
+            return False
+        self._heard_s = self._heard_s or time.monotonic()
+        return time.monotonic() - self._heard_s >= SETTLE_S
 
     def _next_of_file(self) -> None:
         settings = self._settings[VideoCameraSettings]
-        if settings.wait_for_subscriber and not self.counts['images'] \
-                and not self._image.get_subscription_count():
+        if not self._may_begin(settings):
             return
         good, pixels = self._capture.read()
         if not good and settings.loop and self.counts['images']:
