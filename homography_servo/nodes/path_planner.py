@@ -17,6 +17,7 @@ from homography_servo.nodes.conversions import corners_from_polygon
 from homography_servo.nodes.conversions import joints_from_state
 from homography_servo.nodes.conversions import pose_array_msg
 from homography_servo.nodes.conversions import pose_covariance_msg
+from homography_servo.nodes.conversions import seconds_from_stamp
 from homography_servo.nodes.conversions import transform_from_pose
 from homography_servo.nodes.kit import Health
 from homography_servo.nodes.kit import images_qos
@@ -119,7 +120,8 @@ class PathPlanner(NodeKit, Node):
         if self._robot is None:
             return
         joints_rad = joints_from_state(msg, self._robot.joint_names)
-        self._taken('joint_states', self._desk.set_joints(joints_rad, time.monotonic()))
+        self._taken('joint_states', self._desk.set_joints(
+            joints_rad, time.monotonic(), self._stamp_s(msg.header)))
 
     def _on_corners(self, msg: PolygonStamped) -> None:
         corners_px = corners_from_polygon(msg)
@@ -127,7 +129,7 @@ class PathPlanner(NodeKit, Node):
             self.count('corners_empty')
             self._desk.lose_sight()
             return
-        estimate = self._desk.see(corners_px, time.monotonic())
+        estimate = self._desk.see(corners_px, time.monotonic(), self._stamp_s(msg.header))
         if not self._taken('corners', estimate):
             return
         header = Header(stamp=msg.header.stamp, frame_id='home')
@@ -136,6 +138,12 @@ class PathPlanner(NodeKit, Node):
         self._transforms.send([Frame('home', 'object', estimate.home_from_object)], header.stamp)
         self._candidates.publish(pose_array_msg(
             [candidate.home_from_object for candidate in estimate.candidates], header))
+
+    def _stamp_s(self, header: Header) -> float:
+        """Give a stamp in seconds; a missing one and one from the future mean now."""
+        now_s = 1e-9 * self.get_clock().now().nanoseconds
+        stamp_s = seconds_from_stamp(header.stamp)
+        return min(stamp_s, now_s) if stamp_s > 0.0 else now_s
 
     def _on_goal_corners(self, msg: PolygonStamped) -> None:
         corners_px = corners_from_polygon(msg)

@@ -24,6 +24,7 @@ from homography_servo.robot.robot_file import Robot
 import numpy as np
 
 JOINTS_FRESH_S = 0.25
+MOVED_RAD = 1e-5
 _CLEARLY_WORSE = 9.0  # in chi-squared: three standard deviations
 _NO_CAMERA = 'no camera_info yet: nothing can be measured or planned without the camera model'
 _NO_GOAL = 'no goal: call ~/teach_goal or send goal/corners or goal/pose'
@@ -52,7 +53,9 @@ class PlanningDesk:
         self._settings = settings
         self.camera: Camera | None = None
         self._joints: tuple[np.ndarray, float] | None = None
+        self._moved_stamp_s = -np.inf
         self.goal: np.ndarray | Rejected = Rejected(_NO_GOAL)
+        self._goal_joints_rad: np.ndarray | None = None  # where the arm stood at the goal
         self._observer = Observer(self.object_points_m, self.home_depth_m,
                                   settings.corner_sigma_px, observer)
 
@@ -89,10 +92,19 @@ class PlanningDesk:
         self.camera = camera
         return None
 
-    def set_joints(self, joints_rad: np.ndarray | Rejected, now_s: float) -> Rejected | None:
-        """Take in the joints as the arm reports them."""
+    def set_joints(self, joints_rad: np.ndarray | Rejected, now_s: float,
+                   stamp_s: float = -np.inf) -> Rejected | None:
+        """
+        Take in the joints as the arm reports them.
+
+        ``stamp_s`` is when they were there, by the clock of the images' stamps: pictures
+        may come late, and one from before the arm stopped is no look at rest.
+        """
         if isinstance(joints_rad, Rejected):
             return joints_rad
+        if self._joints is not None and \
+                np.abs(joints_rad - self._joints[0]).max() > MOVED_RAD:
+            self._moved_stamp_s = stamp_s
         self._joints = (joints_rad, now_s)
         return None
 
@@ -100,8 +112,11 @@ class PlanningDesk:
         """Note that the tracker has no measurement."""
         self._observer.lose_sight()
 
-    def see(self, corners_px: np.ndarray | Rejected, now_s: float) -> PoseEstimate | Rejected:
-        """Take in a look and give the pose of the object."""
+    def see(self, corners_px: np.ndarray | Rejected, now_s: float,
+            stamp_s: float = np.inf) -> PoseEstimate | Rejected:
+        """Take in a look, made at ``stamp_s``, and give the pose of the object."""
+        if stamp_s <= self._moved_stamp_s:
+            self._observer.lose_sight()
         if isinstance(corners_px, Rejected):
             return corners_px
         if self.camera is None:
@@ -133,7 +148,7 @@ class PlanningDesk:
         estimate = self._observer.view_pose(view, self.camera, now_s, self._arm_pose(now_s))
         if isinstance(estimate, Rejected):
             return estimate
-        answer = self._take_goal(estimate.home_from_object)
+        answer = self._take_goal(estimate.home_from_object, self._fresh_joints(now_s))
         return answer if isinstance(answer, Rejected) else \
             f'goal taught from {view.looks} looks, {_quality(view, estimate)}'
 
@@ -164,22 +179,28 @@ class PlanningDesk:
         if missing:
             return Rejected(missing)
         view = self._observer.still_view(now_s)
+        wanted = self._observer.settings.plan_looks_min
+        if view.looks < wanted:
+            return Rejected(f'only {view.looks} of {wanted} good looks at the object at rest so '
+                            'far; hold it still and ask again')
         start = self._observer.view_pose(view, self.camera, now_s, self._arm_pose(now_s))
         if isinstance(start, Rejected):
             return start
         return plan(start.home_from_object, self.goal, self.camera, self._robot,
-                    self._fresh_joints(now_s), self._settings, self.object_points_m)
+                    self._fresh_joints(now_s), self._settings, self.object_points_m,
+                    self._goal_joints_rad)
 
-    def _take_goal(self, goal: np.ndarray) -> str | Rejected:
+    def _take_goal(self, goal: np.ndarray, joints_rad: np.ndarray | None = None
+                   ) -> str | Rejected:
         depth_m = goal[2, 3] + self.home_depth_m
         if depth_m <= 0.0:
             return self._refuse_goal(f'it is behind the camera (depth {depth_m:.3f} m)')
         if self.camera is not None:
             fault = goal_fault(goal, self.camera, self.object_points_m, self.home_depth_m,
-                               self._settings)
+                               self._settings, joints_rad is not None)
             if fault:
                 return self._refuse_goal(fault)
-        self.goal = np.array(goal, dtype=float)
+        self.goal, self._goal_joints_rad = np.array(goal, dtype=float), joints_rad
         x, y, z = 1000.0 * self.goal[:3, 3]
         return f'goal set to x {x:.1f}, y {y:.1f}, z {z:.1f} mm in home'
 

@@ -31,6 +31,7 @@ class ObserverSettings(Settings):
         'refused: wrong order, wrong size, or not the object')
     looks_max: int = whole(60, 1, 1000, '', 'looks that are averaged at most')
     looks_min: int = whole(8, 1, 1000, '', 'looks that teaching a goal needs')
+    plan_looks_min: int = whole(3, 1, 1000, '', 'looks at rest that a plan needs')
     look_age_s: float = real(0.5, 0.05, 10.0, 's', 'age at which corners are no longer now')
     still_px: float = real(
         1.0, 0.05, 20.0, 'px', 'corners that stay this near to each other stand still')

@@ -143,6 +143,8 @@ def test_every_missing_input_is_named():
     bench.show(START, START_RAD)
     assert 'no goal' in missing(bench)
     bench.desk.set_goal_pose(GOAL)
+    assert 'only 2 of 3 good looks' in missing(bench)
+    bench.show(START, START_RAD)
     assert bench.desk.plan(bench.now_s).ok
     bench.now_s += 0.3
     assert 'no joint_states for 0.3 s' in missing(bench)
@@ -198,3 +200,17 @@ def test_settings_change_at_run_time_and_a_new_camera_forgets_looks():
     assert len(bench.desk.plan(bench.now_s).poses) == 11
     bench.desk.set_camera(replace(CAMERA, fx=700.0))
     assert 'not seen' in missing(bench)
+
+
+def test_pictures_from_before_the_arm_stopped_are_no_looks_at_rest():
+    bench = Bench()
+    bench.desk.set_goal_pose(GOAL)
+    bench.desk.set_joints(START_RAD + 0.1, 100.0, stamp_s=50.0)
+    bench.desk.set_joints(START_RAD, 100.0, stamp_s=51.0)  # the arm moved until here
+    for stamp_s in (50.0, 50.2, 50.4, 50.6, 50.8, 51.0):
+        bench.desk.see(seen(START), 100.0, stamp_s)
+    bench.desk.set_joints(START_RAD, 100.0, stamp_s=51.1)
+    assert 'only 1 of 3 good looks' in bench.desk.plan(100.0).reason
+    for stamp_s in (51.2, 51.4):
+        bench.desk.see(seen(START), 100.0, stamp_s)
+    assert bench.desk.plan(100.0).ok
