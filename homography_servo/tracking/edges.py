@@ -195,32 +195,33 @@ def _levels(sums: Sums, scan: Scan, step: np.ndarray) -> tuple[np.ndarray, ...]:
     rising = step.take(scan.layout.first_line) > 0.0
     far_in = np.where(rising, scan.high_sum, scan.low_sum)
     far_out = scan.high_sum + scan.low_sum - far_in
-    pixels = FAR_PX * scan.layout.lines
-    allowed = pixels * (FAR_SIGMAS * np.sqrt(2.0 * middle(residual) / pixels) + FLAT_GREY)
-    use_in = np.abs(far_in - pixels * (outside + contrast)) < allowed
-    use_out = np.abs(far_out - pixels * outside) < allowed
-    pixels_in, far_in = pixels * use_in, far_in * use_in
-    wider = sums._replace(one=sums.one + pixels_in + pixels * use_out,
-                          share=sums.share + pixels_in,
-                          share_share=sums.share_share + pixels_in,
-                          grey=sums.grey + far_in + far_out * use_out,
-                          share_grey=sums.share_grey + far_in)
-    return *_two_levels(_pooled(wider, middle(residual))), residual
+    noise, pixels = middle(residual), FAR_PX * scan.layout.lines
+    count_in, far_in = _alike(far_in / pixels, outside + contrast, sums.share, pixels, noise)
+    count_out, far_out = _alike(far_out / pixels, outside, sums.one - sums.share, pixels, noise)
+    wider = _with_pixels(sums, count_in, far_in, count_out, far_out)
+    outside, contrast, _ = _two_levels(wider)
+    count_in, far_in = _common(outside + contrast, wider.share, noise)
+    count_out, far_out = _common(outside, wider.one - wider.share, noise)
+    return *_two_levels(_with_pixels(wider, count_in, far_in, count_out, far_out)), residual
 
 
-def _pooled(sums: Sums, noise: float) -> Sums:
-    """
-    Let segments learn the grey levels from each other as far as they are alike.
-
-    A level common to all segments counts like noise / scatter more pixels of it.
-    """
-    outside, contrast, _ = _two_levels(sums)
-    count_out, grey_out = _common(outside, sums.one - sums.share, noise)
-    count_in, grey_in = _common(outside + contrast, sums.share, noise)
+def _with_pixels(sums: Sums, count_in: np.ndarray, grey_in: np.ndarray, count_out: np.ndarray,
+                 grey_out: np.ndarray) -> Sums:
+    """Add pixels of known grey level far inside and far outside."""
     return sums._replace(one=sums.one + count_out + count_in, share=sums.share + count_in,
                          share_share=sums.share_share + count_in,
                          grey=sums.grey + count_out * grey_out + count_in * grey_in,
                          share_grey=sums.share_grey + count_in * grey_in)
+
+
+def _alike(far: np.ndarray, near: np.ndarray, near_pixels: np.ndarray, pixels: np.ndarray,
+           noise: float) -> tuple[np.ndarray, np.ndarray]:
+    """Give the pixels that the far ones count for, and their level."""
+    away = np.abs(far - near)
+    expected = noise / middle(pixels) + noise / middle(near_pixels)
+    uneven = max((1.48 * middle(away)) ** 2 - expected, 0.0)
+    alike = away < FAR_SIGMAS * (expected + uneven) ** 0.5
+    return alike * noise / (noise / pixels + uneven), far
 
 
 def _common(level: np.ndarray, pixels: np.ndarray, noise: float) -> tuple[np.ndarray, float]:

@@ -18,6 +18,7 @@ import numpy as np
 MODEL_ERROR_PX = 0.005  # straightness of a printed or cut edge, over one segment
 NOISE_FLOOR = 0.3  # mean squared grey level; rounding alone gives 1/12
 ROBUST_SIGMAS = 4.0  # where Tukey's weight ends
+ODD_RESIDUAL, ODD_POWER = 1.6, 2.0  # mean square over the noise's that noise cannot explain
 INLIER_WEIGHT = 0.1
 IMAGE_PLANE = Plane(None)
 
@@ -144,7 +145,7 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
 
     """
     rows, inward = polygon_rows(edges, len(corners)), edges.inward
-    excess = np.maximum(noise_of(edges) / edges.residual, 1.0)
+    excess = _excess(edges)
     variance = edges.variance * excess + MODEL_ERROR_PX ** 2
     precision = usable / variance
     held, pull = _held(prior, corners)
@@ -165,6 +166,17 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
         miss = inward - rows @ shift
     return SnakeFit(corners + shift.reshape(corners.shape), covariance, edges, weight * usable,
                     miss, shift, float(np.abs(shift).max()))
+
+
+def _excess(edges: Edges) -> np.ndarray:
+    """
+    Say by what to multiply the variances that the segments' own residuals give.
+
+    A lucky residual does not make a segment surer; one that noise cannot explain has
+    something else in it, which shifts the edge by more than its noise tells.
+    """
+    ratio = edges.residual / noise_of(edges)
+    return np.where(ratio < 1.0, 1.0 / ratio, np.maximum(ratio / ODD_RESIDUAL, 1.0) ** ODD_POWER)
 
 
 def polygon_rows(edges: Edges, corner_count: int) -> np.ndarray:
