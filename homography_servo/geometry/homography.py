@@ -45,7 +45,7 @@ def estimate_homography(src: np.ndarray, dst: np.ndarray,
     if used.sum() < 4:
         return Rejected(f'need 4 points, have {used.sum()}')
     src, dst, root = src[used], dst[used], root[used]
-    src_scaling, dst_scaling = _normaliser(src), _normaliser(dst)
+    src_scaling, dst_scaling = _normaliser(src, root**2), _normaliser(dst, root**2)
     if src_scaling is None or dst_scaling is None:
         return Rejected('all points coincide')
     s, d = (points * m[0, 0] + m[:2, 2] for points, m in
@@ -165,10 +165,10 @@ def _points(points: np.ndarray, name: str) -> np.ndarray:
     return points
 
 
-def _normaliser(points: np.ndarray) -> np.ndarray | None:
+def _normaliser(points: np.ndarray, weights: np.ndarray) -> np.ndarray | None:
     """Centre the points and bring their mean distance to sqrt(2)."""
-    centre = points.mean(axis=0)
-    size = np.linalg.norm(points - centre, axis=1).mean()
+    centre = np.average(points, axis=0, weights=weights)
+    size = np.average(np.linalg.norm(points - centre, axis=1), weights=weights)
     if not size > 1e-12 * max(1.0, float(np.abs(centre).max())):
         return None
     gain = math.sqrt(2.0) / size

@@ -215,17 +215,21 @@ def _step(views: Views, state: Fit, damping: np.ndarray | None) -> tuple[np.ndar
 
 def _newton_step(views: Views, state: Fit, damping: np.ndarray | None
                  ) -> tuple[np.ndarray, np.ndarray]:
-    """Do as `_step` with the whole curvature; where that leads uphill, without."""
+    """
+    Do as `_step` with the whole curvature, where that is positive definite.
+
+    Elsewhere Newton's method would look for saddles; Gauss-Newton goes down from them.
+    """
+    step, gain = _step(views, state, damping)
     extra = curvature(views, state.rotation, state.translation_m, state.residual)
-    normal = state.normal + extra + _DIAGONAL * (state.normal * _RIDGE if damping is None else
-                                                 state.normal * damping[:, None, None])
-    step = np.linalg.solve(normal, state.gradient[..., None])[..., 0]
-    gain = (step * state.gradient).sum(axis=1)
-    if (gain > 0.0).all():
-        return -step, gain
-    safe_step, safe_gain = _step(views, state, damping)
-    uphill = ~(gain > 0.0)
-    return np.where(uphill[:, None], safe_step, -step), np.where(uphill, safe_gain, gain)
+    normal = state.normal + extra
+    if damping is not None:
+        normal += state.normal * (_DIAGONAL * damping[:, None, None])
+    for i, (matrix, gradient) in enumerate(zip(normal, state.gradient)):
+        _, newton, indefinite = lapack.dposv(matrix, gradient)
+        if not indefinite:
+            step[i], gain[i] = -newton, newton @ gradient
+    return step, gain
 
 
 def _accept(state: Fit, trial: Fit, damping: np.ndarray | None, settled: np.ndarray

@@ -38,7 +38,8 @@ def views_of(points_m: np.ndarray, image_px: np.ndarray, camera: Camera,
     """
     rays = camera.rays(image_px)
     if camera.bends:
-        slope = np.moveaxis(camera.jacobian(rays), 1, -1)
+        with np.errstate(all='ignore'):  # of rays that do not exist; they are sorted out later
+            slope = np.moveaxis(camera.jacobian(rays), 1, -1)
     else:
         slope = np.array([[camera.fx], [camera.fy]])
     noise = _noise(covariance_px2, len(points_m))
