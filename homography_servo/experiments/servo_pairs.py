@@ -54,14 +54,23 @@ def exact_world(robot: Robot) -> World:
     return World(ArmModel(robot), CAMERA)
 
 
-def wrong_world(robot: Robot, seed: int) -> World:
+def wrong_world(robot: Robot, pair: RobotPair) -> World:
     """
     Give a world in which every model is wrong.
 
     The robot stands 10 mm and 3 deg elsewhere, the object is held 5 mm and 2 deg off,
-    all joint zeros are 2 deg off to either side, the focal length is 2 % off.
+    all joint zeros are 2 deg off to either side, the focal length is 2 % off; directions
+    and signs are drawn until start and goal are well in view in that world, too.
     """
-    rng = np.random.default_rng([seed, 77])
+    rng = np.random.default_rng([pair.seed, 77])
+    while True:
+        world = _wrong_world(robot, rng)
+        ends = world.arm.pose(np.array([pair.start_rad, pair.goal_rad]))
+        if visible(world.camera, ends, robot.object_points_m, robot.home_depth_m).all():
+            return world
+
+
+def _wrong_world(robot: Robot, rng: np.random.Generator) -> World:
     arm = ArmModel(robot, exp_twist(_twist(rng, 0.010, np.radians(3.0))),
                    np.radians(2.0) * rng.choice([-1.0, 1.0], robot.count),
                    exp_twist(_twist(rng, 0.005, np.radians(2.0))))
@@ -87,14 +96,15 @@ def random_pairs(robot: Robot, count: int, seed: int) -> list[RobotPair]:
     while len(good) < 2 * count:
         joints = rng.uniform(robot.lower_rad + JOINT_MARGIN_RAD,
                              robot.upper_rad - JOINT_MARGIN_RAD, (4096, robot.count))
-        good.extend(joints[visible(ArmModel(robot).pose(joints), robot.object_points_m,
+        good.extend(joints[visible(CAMERA, ArmModel(robot).pose(joints), robot.object_points_m,
                                    robot.home_depth_m)])
     return [RobotPair(good[2 * i], good[2 * i + 1], seed * 100_003 + i) for i in range(count)]
 
 
-def visible(poses: np.ndarray, points_m: np.ndarray, home_depth_m: float) -> np.ndarray:
+def visible(camera: Camera, poses: np.ndarray, points_m: np.ndarray, home_depth_m: float
+            ) -> np.ndarray:
     """Tell at which poses (M, 4, 4) the face is well in view."""
-    seen = look(poses, CAMERA, points_m, home_depth_m)
+    seen = look(poses, camera, points_m, home_depth_m)
     return (seen.border_px.min(axis=1) >= BORDER_PX) & (seen.facing_rad <= FACING_RAD)
 
 
@@ -114,5 +124,5 @@ def free_poses(points_m: np.ndarray, count: int, seed: int, home_depth_m: float 
             [tilt * np.cos(axis), tilt * np.sin(axis), np.zeros(1024)]))
         turns = Rotation.from_rotvec(rng.uniform(-np.pi, np.pi, (1024, 1)) * [[0.0, 0.0, 1.0]])
         poses = transform((tilts * turns).as_matrix(), place)
-        found.extend(poses[visible(poses, points_m, home_depth_m)])
+        found.extend(poses[visible(CAMERA, poses, points_m, home_depth_m)])
     return np.array(found[:count])

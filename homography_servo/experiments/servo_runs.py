@@ -65,7 +65,7 @@ def plan_for(world: World, pair: RobotPair, eye: Eye, learner: ModelLearner
             return seen
         learner.learn(seen.home_from_object, seen.covariance, joints_rad)
     return plan(start.home_from_object, goal.home_from_object, CAMERA, learner.robot,
-                pair.start_rad)
+                pair.start_rad, goal_joints_rad=pair.goal_rad)
 
 
 def run_pair(world: World, pair: RobotPair, noise_px: float, confirm: Confirm) -> Outcome:

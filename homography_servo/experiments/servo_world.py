@@ -14,8 +14,8 @@ import math
 from typing import Any, Callable
 
 from homography_servo.planning.arm_model import ArmModel
+from homography_servo.planning.command import Command
 from homography_servo.planning.control import move_time
-from homography_servo.planning.servo import Command
 from homography_servo.planning.servo import Servo
 from homography_servo.robot.robot_file import Robot
 import numpy as np
@@ -29,40 +29,40 @@ Measure = Callable[[np.ndarray], Any]
 
 
 class CubicMotion:
-    """The joints of an arm: from where and how fast they are to rest at a target."""
+    """The joints of an arm: cubics from where and how fast they are through points."""
 
     def __init__(self, joints_rad: np.ndarray) -> None:
-        self._from, self._velocity = np.array(joints_rad, dtype=float), np.zeros(len(joints_rad))
-        self._to, self._end_velocity = self._from, self._velocity
-        self._start_s, self._time_s = 0.0, 0.0
+        joints = np.array(joints_rad, dtype=float)
+        self._start_s = 0.0
+        self._times_s = np.array([0.0, 1e-3])
+        self._points = np.array([joints, joints])
+        self._speeds = np.zeros_like(self._points)
 
     def at(self, time_s: float) -> np.ndarray:
         """Give the joints at a time."""
         return self._both(time_s)[0]
 
     def _both(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
-        span = self._time_s
-        if time_s >= self._start_s + span:
-            return self._to, np.zeros_like(self._to)
-        u = (time_s - self._start_s) / span
-        way = self._to - self._from
-        v0, v1 = self._velocity * span, self._end_velocity * span
+        time_s = float(np.clip(time_s - self._start_s, 0.0, self._times_s[-1]))
+        k = min(int(np.searchsorted(self._times_s, time_s, 'right')), len(self._times_s) - 1)
+        span = self._times_s[k] - self._times_s[k - 1]
+        u = (time_s - self._times_s[k - 1]) / span
+        way = self._points[k] - self._points[k - 1]
+        v0, v1 = self._speeds[k - 1] * span, self._speeds[k] * span
         a, b = v0 + v1 - 2.0 * way, 3.0 * way - 2.0 * v0 - v1
-        return (self._from + u * (v0 + u * (b + u * a)),
+        return (self._points[k - 1] + u * (v0 + u * (b + u * a)),
                 (v0 + u * (2.0 * b + 3.0 * u * a)) / span)
 
     def go(self, command: Command, time_s: float, decel_rad_s2: np.ndarray) -> None:
         """Take a command; a stop brakes with the joints' deceleration."""
-        here, velocity = self._both(time_s)
-        self._from, self._velocity, self._start_s = here, velocity, time_s
-        self._end_velocity = np.zeros_like(here)
+        here, speed = self._both(time_s)
         if command.joints_rad is None:
-            span = float((np.abs(velocity) / decel_rad_s2).max())
-            self._to, self._time_s = here + 0.5 * velocity * span, max(span, 1e-3)
-            return
-        self._to, self._time_s = np.array(command.joints_rad), max(command.time_s, 1e-3)
-        if command.velocity_rad_s is not None:
-            self._end_velocity = np.array(command.velocity_rad_s)
+            span = max(float((np.abs(speed) / decel_rad_s2).max()), 1e-3)
+            command = Command.to(here + 0.5 * speed * span, span)
+        self._start_s = time_s
+        self._times_s = np.append(0.0, command.times_s)
+        self._points = np.vstack([here, command.points_rad])
+        self._speeds = np.vstack([speed, command.velocities_rad_s])
 
 
 class ServoWorld:
@@ -134,7 +134,7 @@ class ServoWorld:
         """Move the arm from outside, as an operator does, and wait until it stands there."""
         way = joints_rad - self._motion.at(self.now_s)
         time_s = move_time(self.robot, way)
-        self._motion.go(Command(joints_rad, time_s), self.now_s, self.robot.acceleration_rad_s2)
+        self._motion.go(Command.to(joints_rad, time_s), self.now_s, self.robot.acceleration_rad_s2)
         self.run(time_s + 0.1)
 
     def _at(self, time_s: float, happen: Callable[[], None]) -> None:

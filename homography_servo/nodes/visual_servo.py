@@ -31,8 +31,8 @@ from homography_servo.nodes.kit import WARN
 from homography_servo.nodes.parameters import Parameters
 from homography_servo.nodes.run import run_node
 from homography_servo.places import find_config
+from homography_servo.planning.command import Command
 from homography_servo.planning.joint_lead import JointLead
-from homography_servo.planning.servo import Command
 from homography_servo.planning.servo import FAILED
 from homography_servo.planning.servo import HOLD
 from homography_servo.planning.servo import Servo
@@ -203,13 +203,10 @@ class VisualServo(NodeKit, Node):
             self._progress.publish(self._progress_msg())
 
     def _trajectory(self, command: Command) -> JointTrajectory:
-        if command.joints_rad is None:
-            return trajectory_msg(self._robot.joint_names, [], [])  # no points: stop
-        msg = trajectory_msg(self._robot.joint_names, [command.joints_rad], [command.time_s])
-        velocity = np.zeros(self._robot.count) if command.velocity_rad_s is None \
-            else command.velocity_rad_s
-        msg.points[0].velocities = [float(v) for v in velocity]
-        return msg
+        msg = trajectory_msg(self._robot.joint_names, command.points_rad, command.times_s)
+        for point, velocity in zip(msg.points, command.velocities_rad_s):
+            point.velocities = [float(v) for v in velocity]
+        return msg  # one without points means stop
 
     def _progress_msg(self) -> DiagnosticStatus:
         values = [KeyValue(key=key, value=_shown(value))

@@ -13,12 +13,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from dataclasses import field
 from dataclasses import replace
+from functools import cached_property
 from typing import Protocol
 
 from homography_servo.geometry.rigid import exp_twist
 from homography_servo.geometry.rigid import skew
-from homography_servo.robot.kinematics import object_jacobian
-from homography_servo.robot.kinematics import object_pose
+from homography_servo.robot.chain import jacobian_of
+from homography_servo.robot.chain import link_frames
 from homography_servo.robot.robot_file import Robot
 import numpy as np
 
@@ -39,7 +40,7 @@ class BodyModel(Protocol):
 
     def pose(self, setpoint: np.ndarray) -> np.ndarray: ...
 
-    def sensitivity(self, setpoint: np.ndarray) -> np.ndarray: ...
+    def expect(self, setpoint: np.ndarray) -> tuple[np.ndarray, np.ndarray]: ...
 
     def moved(self, change: np.ndarray) -> BodyModel: ...
 
@@ -63,9 +64,10 @@ class FreeBody:
         """Predict home_from_object."""
         return self.left @ setpoint
 
-    def sensitivity(self, setpoint: np.ndarray) -> np.ndarray:
-        """Give the (6, 6) object twist per change of L."""
-        return _left_sensitivity(self.pose(setpoint)[:3, 3])
+    def expect(self, setpoint: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Predict home_from_object and its (6, 6) twist per change of L."""
+        pose = self.pose(setpoint)
+        return pose, _left_sensitivity(pose[:3, 3])
 
     def moved(self, change: np.ndarray) -> FreeBody:
         """Correct L by a small twist."""
@@ -95,26 +97,38 @@ class ArmModel:
                        home_from_base=self.left @ self.robot.home_from_base,
                        tool_from_object=self.robot.tool_from_object @ self.right)
 
+    @cached_property
+    def _ends(self) -> tuple[np.ndarray, np.ndarray]:
+        return (self.left @ self.robot.home_from_base,
+                self.robot.tool_from_object @ self.right)
+
     def pose(self, setpoint: np.ndarray) -> np.ndarray:
         """Predict home_from_object at joints (..., n)."""
-        return self.left @ object_pose(self.robot, setpoint + self.offset_rad) @ self.right
+        home_from_base, tool_from_object = self._ends
+        frames = link_frames(self.robot, setpoint + self.offset_rad, home_from_base)
+        return frames[..., -1, :, :] @ tool_from_object
 
-    def jacobian(self, setpoint: np.ndarray) -> np.ndarray:
-        """Give the (6, n) twist of the object, home axes, per joint velocity."""
-        joints_rad = setpoint + self.offset_rad
-        believed = object_jacobian(self.robot, joints_rad)
-        reach = object_pose(self.robot, joints_rad)[:3, :3] @ self.right[:3, 3]
-        turn = self.left[:3, :3]
-        linear = believed[:3] - skew(reach) @ believed[3:]
-        return np.vstack([turn @ linear, turn @ believed[3:]])
+    def posture(self, setpoint: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Predict the object at joints (..., n), and how it moves with them.
 
-    def sensitivity(self, setpoint: np.ndarray) -> np.ndarray:
-        """Give the (6, 12 + n) object twist per change of (L, dq, E)."""
-        home_from_object = self.pose(setpoint)
+        Returns
+        -------
+        (..., 4, 4) array, (..., 6, n) array
+            home_from_object, and its twist in home axes per joint velocity.
+
+        """
+        home_from_base, tool_from_object = self._ends
+        frames = link_frames(self.robot, setpoint + self.offset_rad, home_from_base)
+        pose = frames[..., -1, :, :] @ tool_from_object
+        return pose, jacobian_of(frames, pose)
+
+    def expect(self, setpoint: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Predict home_from_object and its (6, 12 + n) twist per change of (L, dq, E)."""
+        pose, jacobian = self.posture(setpoint)
         right = np.zeros((6, 6))
-        right[:3, :3] = right[3:, 3:] = home_from_object[:3, :3]
-        return np.hstack([_left_sensitivity(home_from_object[:3, 3]),
-                          self.jacobian(setpoint), right])
+        right[:3, :3] = right[3:, 3:] = pose[:3, :3]
+        return pose, np.hstack([_left_sensitivity(pose[:3, 3]), jacobian, right])
 
     def moved(self, change: np.ndarray) -> ArmModel:
         """Correct (L, dq, E) by small changes, twists of L in home, of E in the object."""

@@ -75,21 +75,23 @@ def damped_step(jacobian: np.ndarray, twist: np.ndarray) -> np.ndarray:
     """
     Solve for the joint step of a displacement.
 
-    Damping comes in smoothly where the smallest singular value falls below
+    For (..., 6, n) and (..., 6) stacks. Damping comes in smoothly where the smallest singular value falls below
     ``SINGULAR`` (Nakamura and Hanafusa, 1986); elsewhere the step is exact.
     """
     scale = np.array([1.0] * 3 + [LENGTH_M] * 3)
     left, values, right = np.linalg.svd(jacobian * scale[:, None], full_matrices=False)
-    damping = DAMPING ** 2 * max(0.0, 1.0 - (values[-1] / SINGULAR) ** 2)
-    return right.T @ (values / (values ** 2 + damping) * (left.T @ (twist * scale)))
+    damping = DAMPING ** 2 * np.maximum(0.0, 1.0 - (values[..., -1:] / SINGULAR) ** 2)
+    along = (np.swapaxes(left, -1, -2) @ (twist * scale)[..., None])[..., 0]
+    factor = values / (values ** 2 + damping)
+    return (np.swapaxes(right, -1, -2) @ (factor * along)[..., None])[..., 0]
 
 
 def joints_for(model: ArmModel, joints_rad: np.ndarray, home_from_goal: np.ndarray) -> np.ndarray:
     """Find the joints near the given ones that bring the object closest to a pose."""
     target = np.array(joints_rad, dtype=float)
     for _ in range(MODEL_STEPS):
-        twist = displacement(model.pose(target), home_from_goal)
-        step = damped_step(model.jacobian(target), twist)
+        pose, jacobian = model.posture(target)
+        step = damped_step(jacobian, displacement(pose, home_from_goal))
         largest = np.abs(step).max()
         target += step * min(1.0, LARGEST_MODEL_STEP_RAD / max(largest, 1e-12))
         if largest < 1e-7:

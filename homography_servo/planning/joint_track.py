@@ -49,6 +49,21 @@ class JointTrack:
         self.received_s = now_s
         return None
 
+    @property
+    def velocity_rad_s(self) -> np.ndarray:
+        """Give the velocities between the two newest positions."""
+        if len(self._samples) < 2:
+            return np.zeros_like(self._samples[-1][1])
+        (before_s, before_rad), (last_s, last_rad) = self._samples[-2], self._samples[-1]
+        return (last_rad - before_rad) / max(last_s - before_s, 1e-3)
+
+    def near(self, stamp_s: float, ahead_s: float) -> np.ndarray | None:
+        """Give the joints at a time, extrapolated by their velocity for a moment."""
+        late_s = stamp_s - self.latest_stamp_s
+        if not 0.0 < late_s <= ahead_s:
+            return self.at(stamp_s)
+        return self.latest_rad + late_s * self.velocity_rad_s
+
     def _note_motion(self, joints_rad: np.ndarray, stamp_s: float) -> None:
         if not self._samples:
             self.still_since_s = math.inf

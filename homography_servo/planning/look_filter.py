@@ -18,13 +18,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from homography_servo.geometry.rigid import skew
 from homography_servo.planning.arm_model import BodyModel
 from homography_servo.planning.arm_model import Prior
 from homography_servo.planning.control import displacement
 from homography_servo.result import Rejected
 import numpy as np
 
+_YZX, _ZXY = [1, 2, 0], [2, 0, 1]
 ITERATIONS = 3
+LARGE_CHANGE = 1e-3  # m or rad: the next iteration starts from new derivatives
 WIDEN_ABOVE = 4.0  # mean squared surprise: twice the expected deviation
 FORGET_ABOVE = 25.0
 ARM_LENGTH_M = 0.3  # a rotation and a translation of the object compare by this length
@@ -65,7 +68,9 @@ def rays_of(home_from_object: np.ndarray, points_m: np.ndarray, home_depth_m: fl
     jacobian = np.zeros((len(points_m), 2, 6))
     jacobian[:, 0, 0] = jacobian[:, 1, 1] = 1.0 / z
     jacobian[:, :, 2] = -rays / z[:, None]
-    jacobian[:, :, 3:] = np.cross(arms[:, None, :], jacobian[:, :, :3])
+    # What a turn does is the cross product of arm and row; numpy's own is slow for few.
+    linear, arm = jacobian[:, :, :3], arms[:, None, :]
+    jacobian[:, :, 3:] = arm[..., _YZX] * linear[..., _ZXY] - arm[..., _ZXY] * linear[..., _YZX]
     return rays.ravel(), jacobian.reshape(-1, 6)
 
 
@@ -133,7 +138,7 @@ class LookFilter:
         """Start from a model whose pose at a setpoint has this (6, 6) covariance; left error."""
         self.reset()
         self.model, self.looks = model, 1
-        left = np.linalg.inv(model.sensitivity(setpoint)[:, :6])
+        left = np.linalg.inv(model.expect(setpoint)[1][:, :6])
         self._covariance[:6, :6] = left @ covariance @ left.T
         self._last_setpoint = np.array(setpoint, dtype=float)
 
@@ -143,7 +148,7 @@ class LookFilter:
 
     def covariance(self, setpoint: np.ndarray) -> np.ndarray:
         """Give the (6, 6) covariance of `pose` at a setpoint, home axes, linear first."""
-        sensitivity = self.model.sensitivity(setpoint)
+        _, sensitivity = self.model.expect(setpoint)
         return sensitivity @ self._covariance @ sensitivity.T
 
     def update(self, look: Look, setpoint: np.ndarray) -> bool:
@@ -159,25 +164,32 @@ class LookFilter:
             Whether the look was taken.
 
         """
-        self._drift_to(setpoint)
-        if not self._believes(look, setpoint):
+        rays, by_error, pose = self._expect(self.model, setpoint)
+        self._drift_to(setpoint, pose)
+        if not self._believes(look, rays, by_error):
             return False
-        self._correct(look, setpoint)
+        self._correct(look, setpoint, rays, by_error)
         self.looks += 1
         return True
 
-    def _correct(self, look: Look, setpoint: np.ndarray) -> None:
-        change = np.zeros(len(self._covariance))
-        model = self.model
-        for _ in range(ITERATIONS):
-            rays, by_error = self._expect(model, setpoint)
+    def blurred(self, look: Look, setpoint: np.ndarray, twist: np.ndarray) -> Look:
+        """Widen a look by a displacement of the object of which only the size is known."""
+        _, by_twist = rays_of(self.pose(setpoint), self._points_m, self._home_depth_m)
+        shift = by_twist @ twist
+        return Look(look.rays, look.covariance + np.outer(shift, shift))
+
+    def _correct(self, look: Look, setpoint: np.ndarray, rays: np.ndarray,
+                 by_error: np.ndarray) -> None:
+        change, model = np.zeros(len(self._covariance)), self.model
+        for iteration in range(ITERATIONS):
+            if iteration:
+                rays, by_error, _ = self._expect(model, setpoint)
             innovation = look.rays - rays + by_error @ change
-            spread = by_error @ self._covariance @ by_error.T + look.covariance
-            gain = np.linalg.solve(spread, by_error @ self._covariance).T
+            gain = self._gain(look, by_error)
             step = gain @ innovation - change
             change = change + step
             model = self.model.moved(change)
-            if np.abs(step).max() < 1e-7:
+            if np.abs(step).max() < LARGE_CHANGE:
                 break
         keep = np.eye(len(gain)) - gain @ by_error
         # Joseph's form stays positive when looks are far sharper than the prior.
@@ -185,22 +197,28 @@ class LookFilter:
                             + gain @ look.covariance @ gain.T)
         self.model = model
 
-    def _expect(self, model: BodyModel, setpoint: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        rays, by_twist = rays_of(model.pose(setpoint), self._points_m, self._home_depth_m)
-        return rays, by_twist @ model.sensitivity(setpoint)
+    def _gain(self, look: Look, by_error: np.ndarray) -> np.ndarray:
+        spread = by_error @ self._covariance @ by_error.T + look.covariance
+        return np.linalg.solve(spread, by_error @ self._covariance).T
 
-    def _drift_to(self, setpoint: np.ndarray) -> None:
-        if self._last_setpoint is not None:
-            motion = displacement(self.pose(self._last_setpoint), self.pose(setpoint))
+    def _expect(self, model: BodyModel, setpoint: np.ndarray
+                ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        pose, sensitivity = model.expect(setpoint)
+        rays, by_twist = rays_of(pose, self._points_m, self._home_depth_m)
+        return rays, by_twist @ sensitivity, pose
+
+    def _drift_to(self, setpoint: np.ndarray, pose: np.ndarray) -> None:
+        if self._last_setpoint is not None and self._drift > 0.0:
+            motion = displacement(self.pose(self._last_setpoint), pose)
             moved_m, turned_rad = np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])
             size_m = self._drift * (moved_m + ARM_LENGTH_M * turned_rad)
             sigma = np.array([size_m] * 3 + [size_m / ARM_LENGTH_M] * 3)
-            left = np.linalg.inv(self.model.sensitivity(setpoint)[:, :6])
+            left = np.eye(6)  # the change of L for a twist of the object
+            left[:3, 3:] = skew(pose[:3, 3])
             self._covariance[:6, :6] += (left * sigma ** 2) @ left.T
         self._last_setpoint = np.array(setpoint, dtype=float)
 
-    def _believes(self, look: Look, setpoint: np.ndarray) -> bool:
-        rays, by_error = self._expect(self.model, setpoint)
+    def _believes(self, look: Look, rays: np.ndarray, by_error: np.ndarray) -> bool:
         innovation = look.rays - rays
         spread = by_error @ self._covariance @ by_error.T + look.covariance
         squared = float(innovation @ np.linalg.solve(spread, innovation))

@@ -16,6 +16,7 @@ import math
 from typing import NamedTuple
 
 from homography_servo.planning.arm_model import ArmModel
+from homography_servo.planning.command import Command
 from homography_servo.planning.control import corner_travel
 from homography_servo.planning.control import displacement
 from homography_servo.planning.control import Errors
@@ -25,6 +26,7 @@ from homography_servo.planning.control import limit_step
 from homography_servo.planning.control import move_time
 from homography_servo.planning.control import sigmas_of
 from homography_servo.planning.control import Step
+from homography_servo.planning.flow import Flow
 from homography_servo.planning.joint_lead import JointLead
 from homography_servo.planning.joint_track import CLOCK_JUMP_S
 from homography_servo.planning.look_filter import look_from_pose
@@ -42,16 +44,10 @@ ARRIVED_RAD = 1.2e-3  # a little over one unit of a hobby servo
 SHORTEST_MOVE_S = 0.04
 OVERDUE_S = 1.0
 RETRY_S = 1.0
+FLOW_REFRESH_S = 0.1  # a stream goes on without looks until vision is lost
+FLOW_LAST_S = 0.12  # the end of the way is left alone
+FLOW_AHEAD_S = 0.05  # how far joints are extrapolated to the time of an image
 IDLE_LOOK_S = 0.1  # while nothing moves, a look now and then keeps the model right
-
-
-@dataclass(frozen=True, eq=False)
-class Command:
-    """Where the joints shall be after a time; no joints mean: stop now."""
-
-    joints_rad: np.ndarray | None = None
-    time_s: float = 0.0
-    velocity_rad_s: np.ndarray | None = None
 
 
 class Progress(NamedTuple):
@@ -103,6 +99,7 @@ class Servo:
         self._lead = JointLead()
         self._veto = 'no path was planned yet'
         self._attempt = _Attempt(0)
+        self._flow: Flow | None = None
         self._target_rad: np.ndarray | None = None
         self._left_rad: np.ndarray | None = None  # where the joints were at the last command
         self._due_s = self._due_stamp_s = -math.inf
@@ -137,8 +134,11 @@ class Servo:
         if self._path is None:
             self._end(FAILED, f'the new path is vetoed: {self._veto}')
             return
-        joints_rad = self._target_rad if self.state == MOVING else self.watch.joints.latest_rad
+        standing = self._flow is not None or self.state != MOVING
+        joints_rad = self.watch.joints.latest_rad if standing else self._target_rad
         self._aim_at(self._nearest_pose(self.filter.pose(joints_rad)))
+        if self._flow is not None:
+            self._flow.follow(self._path, self._attempt.index)
         self._lead_from_here(joints_rad)
 
     def add_joints(self, joints_rad: np.ndarray, stamp_s: float, now_s: float
@@ -209,6 +209,8 @@ class Servo:
             self._hold(trouble)
         elif self.state == HOLD:
             self._resume(now_s)
+        elif self._flow is not None:
+            self._flow_on(now_s)
         elif self.state == MOVING:
             self._await_arrival(now_s)
         if self.state == LOOKING and self._take_looks():
@@ -217,6 +219,7 @@ class Servo:
     def _hold(self, reason: str) -> None:
         if self.state != HOLD:
             self._pending = Command()
+        self._flow = None
         self.state, self.reason = HOLD, reason
 
     def _resume(self, now_s: float) -> None:
@@ -262,7 +265,7 @@ class Servo:
         it, the model is right there already.
         """
         joints, taken = self.watch.joints, 0
-        stood_s = max(joints.still_since_s, self._due_stamp_s)
+        stood_s = max(joints.still_since_s, self._due_stamp_s) + self.settings.settle_s
         while self.watch.sight.queue:
             stamp_s, look = self.watch.sight.queue.popleft()
             setpoint = joints.at(stamp_s, ahead_s=self.settings.joint_timeout_s)
@@ -357,7 +360,57 @@ class Servo:
         if not self._lead.passes(self._attempt.index):
             self._lead.note(self._attempt.index, self.watch.joints.latest_rad)
         self._aim_at(self._attempt.index + 1)
-        self._move(now_s, math.inf)
+        if self.settings.mode == 'continuous' and not self._lead.needed:
+            self._flow = Flow(self.robot, self._path, self._attempt.index,
+                              self.settings.servo_margin_rad)
+            self.state = MOVING
+            self._send_flow(now_s)
+        else:
+            self._move(now_s, math.inf)
+
+    def _flow_on(self, now_s: float) -> None:
+        """Keep the stream of commands going; at its end wait for rest, then look."""
+        flow = self._flow
+        flow.advance(now_s)
+        if flow.index != self._attempt.index:
+            self._aim_at(flow.index)
+        seen = self._look_on_the_way()
+        if flow.ends and now_s > flow.ends_s - FLOW_LAST_S:
+            self._flow = None
+        elif seen or now_s > flow.sent_s + FLOW_REFRESH_S:
+            self._send_flow(now_s)
+
+    def _send_flow(self, now_s: float) -> None:
+        joints, settings = self.watch.joints, self.settings
+        command = self._flow.command(
+            self.filter.model, joints.latest_rad, settings.speed_share, self.watch.focal_px,
+            settings.corner_speed_px_s, now_s)
+        if command is None:  # look there; the step to the pose will name the joint
+            self._flow, self._pending = None, Command()
+            self._enter_looking()
+            return
+        self._left_rad, self._target_rad = joints.latest_rad, command.joints_rad
+        self._due_s = now_s + command.time_s
+        self._due_stamp_s = joints.latest_stamp_s + command.time_s
+        self._pending = command
+
+    def _look_on_the_way(self) -> bool:
+        """Feed the filter with looks at the moving arm; tell whether there were any."""
+        joints, seen = self.watch.joints, False
+        while self.watch.sight.queue:
+            stamp_s, look = self.watch.sight.queue.popleft()
+            setpoint = joints.near(stamp_s, FLOW_AHEAD_S)
+            if setpoint is None:
+                continue
+            twist = self.filter.model.posture(setpoint)[1] @ joints.velocity_rad_s
+            unsure = self.filter.blurred(look, setpoint, twist * self.settings.sync_sigma_s)
+            self.filter.update(unsure, setpoint)
+            self._attempt.looks += 1
+            seen = True
+        if seen:
+            here = self.filter.pose(joints.latest_rad)
+            self._report(displacement(here, self._path[self._attempt.index]), math.nan)
+        return seen
 
     def _move(self, now_s: float, over: float) -> None:
         attempt = self._attempt
@@ -410,7 +463,7 @@ class Servo:
         self._due_s, self._due_stamp_s = now_s + time_s, joints.latest_stamp_s + time_s
         self._attempt.moves += 1
         self.state, self.reason = MOVING, ''
-        self._pending = Command(step.joints_rad, time_s)
+        self._pending = Command.to(step.joints_rad, time_s)
 
     def _give_up_on_noise(self, unsure: float) -> None:
         share = self.settings.sure_share
@@ -419,6 +472,7 @@ class Servo:
                   'the tolerance cannot be reached with this noise')
 
     def _end(self, state: str, reason: str, stop: bool = True) -> None:
+        self._flow = None
         self.state, self.reason = state, reason
         self._retry_s = math.inf
         if stop:

@@ -38,6 +38,10 @@ class ServoSettings(Settings):
     growth_max: int = whole(3, 1, 100, '', 'moves in a row that may make the error larger')
     image_timeout_s: float = real(0.2, 0.02, 10.0, 's', 'longest time without a measured pose')
     joint_timeout_s: float = real(0.25, 0.02, 10.0, 's', 'longest time without joint_states')
+    settle_s: float = real(
+        0.03, 0.0, 5.0, 's', 'how long the arm must have stood before a look counts')
+    sync_sigma_s: float = real(
+        0.015, 0.0, 1.0, 's', 'how well stamps of images and joints agree while moving')
     found_looks: int = whole(5, 1, 100, '', 'measured poses in a row that end a loss of vision')
     servo_margin_rad: float = real(0.01, 0.0, 0.5, 'rad', 'distance kept from joint limits')
     move_max_rad: float = real(0.35, 0.001, 3.0, 'rad', 'largest motion of a joint in one move')

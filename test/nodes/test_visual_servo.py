@@ -22,7 +22,7 @@ from homography_servo.nodes.conversions import pose_covariance_msg  # noqa: E402
 from homography_servo.nodes.conversions import seconds_from_duration  # noqa: E402
 from homography_servo.nodes.kit import LATCHED  # noqa: E402
 from homography_servo.planning.arm_model import ArmModel  # noqa: E402
-from homography_servo.planning.servo import Command  # noqa: E402
+from homography_servo.planning.command import Command  # noqa: E402
 from sensor_msgs.msg import CameraInfo  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from servo_setup import camera  # noqa: E402
@@ -63,8 +63,10 @@ class Rig:
             command = Command()
         else:
             assert list(msg.joint_names) == list(ROBOT.joint_names)
-            command = Command(np.array(msg.points[0].positions),
-                              seconds_from_duration(msg.points[0].time_from_start))
+            command = Command(
+                np.array([point.positions for point in msg.points]),
+                np.array([seconds_from_duration(point.time_from_start) for point in msg.points]),
+                np.array([point.velocities for point in msg.points]))
             self.commands.append(now_s)
         self.motion.go(command, now_s, ROBOT.acceleration_rad_s2)
 

@@ -197,7 +197,7 @@ def test_arm_that_moved_unseen_needs_a_new_start():
     run = started()
     run.feel = False
     run.run(1.0)
-    run._motion._to = run._motion._to + 0.4
+    run._motion._points = run._motion._points + 0.4
     run.feel = True
     run.run(1.0)
     assert run.servo.state == FAILED and 'while joint_states were missing' in run.servo.reason

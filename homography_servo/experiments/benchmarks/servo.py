@@ -79,7 +79,7 @@ def _robot_rows(robot: Robot, count: int, seed: int) -> list[dict[str, Any]]:
 
     for case, worlds in (
             ('random pairs', [exact_world(robot) for _ in pairs]),
-            ('wrong models', [wrong_world(robot, pair.seed) for pair in pairs])):
+            ('wrong models', [wrong_world(robot, pair) for pair in pairs])):
         ours = [run_pair(world, pair, NOISE_PX, confirm) for world, pair in zip(worlds, pairs)]
         for outcome in ours:
             if outcome.why and not outcome.confirmed:
