@@ -15,12 +15,17 @@ import signal
 import subprocess
 import sys
 import time
-from typing import Sequence
+from typing import Any, Sequence
 
+from homography_servo.experiments.bag import BagError
 from homography_servo.experiments.report import print_summary
 from homography_servo.experiments.report import write_report
+from homography_servo.experiments.trial_bag import free_folder
+from homography_servo.experiments.trial_bag import trial_from_bag
 from homography_servo.nodes.__main__ import PARENT
+from homography_servo.nodes.run import EXIT_CONFIG
 from homography_servo.nodes.run import SignalWatch
+from homography_servo.nodes.trial_client import TOPICS
 from homography_servo.nodes.trial_client import TrialClient
 from homography_servo.nodes.trial_client import TrialError
 from homography_servo.nodes.trial_log import ENDED
@@ -39,7 +44,8 @@ def parser() -> argparse.ArgumentParser:
     about = argparse.ArgumentParser(
         prog='servo_trial', description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog='example:\n  servo_trial --bringup sim.yaml --output report')
+        epilog='examples:\n  servo_trial --bringup sim.yaml --output report --record\n'
+               '  servo_trial --from-bag report/bag --output report_again')
     about.add_argument('--bringup', metavar='CONFIG',
                        help='start the nodes of this configuration and end them afterwards')
     about.add_argument('--set', nargs='+', default=[], action='extend', dest='overrides',
@@ -52,6 +58,14 @@ def parser() -> argparse.ArgumentParser:
                        help='joints at which the goal is taught')
     about.add_argument('--timeout', type=float, default=300.0, metavar='S',
                        help='give up after this time')
+    about.add_argument('--record', nargs='?', const='', metavar='FOLDER',
+                       help='record all topics of the trial, pictures too, as an MCAP bag '
+                       '(default: the folder bag, bag_2, ... in the output folder)')
+    about.add_argument('--keep-free', type=float, default=500.0, metavar='MB',
+                       help='stop recording when the disk has less room than this '
+                       '(default: 500); the trial goes on')
+    about.add_argument('--from-bag', type=Path, metavar='FOLDER',
+                       help='write the report of a recording; nothing is started or moved')
     return about
 
 
@@ -182,7 +196,37 @@ def experiment(client: TrialClient, options: argparse.Namespace) -> None:
             client.fresh('object/corners', 5.0, 'the tracker sends no corners')
     except TrialError as error:
         ending = f'failed: {error}'
+    client.settle()
     client.event(f'{ENDED}: {ending}')
+
+
+def open_bag(options: argparse.Namespace) -> Any:
+    """Begin the recording that was asked for; None when none was."""
+    if options.record is None:
+        return None
+    from homography_servo.experiments.bag_writer import BagSettings
+    from homography_servo.experiments.bag_writer import BagWriter
+    folder = Path(options.record) if options.record else free_folder(options.output / 'bag')
+    try:
+        settings = BagSettings(keep_free_mb=options.keep_free)
+    except ValueError as error:
+        raise BagError(f'--keep-free: {error}') from error
+    return BagWriter(folder, settings, on_stop=lambda sentence: print(sentence, flush=True))
+
+
+def recorder_of(bag: Any) -> Any:
+    """Subscribe on behalf of a recording."""
+    from homography_servo.nodes.recorder import ALSO_RECORDED
+    from homography_servo.nodes.recorder import Recorder
+    return Recorder(bag, (*TOPICS, *ALSO_RECORDED))
+
+
+def report_again(options: argparse.Namespace) -> int:
+    """Write the report of a recording."""
+    log = trial_from_bag(options.from_bag)
+    write_report(log.data, options.output, log.camera())
+    print_summary(log.data, options.output)
+    return EXIT_OK if log.data.converged else EXIT_FAILED
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -190,6 +234,18 @@ def main(args: Sequence[str] | None = None) -> int:
     options = parser().parse_args(args)
     if options.poses is not None and options.poses < 2:
         parser().error(f'--poses must be at least 2, got {options.poses}')
+    try:
+        if options.from_bag:
+            return report_again(options)
+        bag = open_bag(options)
+    except BagError as error:
+        print(error, file=sys.stderr, flush=True)
+        return EXIT_CONFIG
+    return run(options, bag)
+
+
+def run(options: argparse.Namespace, bag: Any) -> int:
+    """Run the trial, recorded or not, and the report."""
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     watch = SignalWatch()
     bringup = None
@@ -202,9 +258,12 @@ def main(args: Sequence[str] | None = None) -> int:
         return bringup.trouble() if bringup else None
 
     client = TrialClient(trouble)
+    recorder = recorder_of(bag) if bag else None
     try:
         experiment(client, options)
     finally:
+        if recorder:
+            print(recorder.close(), flush=True)
         client.close()
         if bringup:
             bringup.end()

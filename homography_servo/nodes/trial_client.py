@@ -106,6 +106,12 @@ class TrialClient:
         if trouble:
             raise TrialError(trouble)
 
+    def settle(self, duration_s: float = 0.3) -> None:
+        """Take what is still on its way, such as the last words of a run."""
+        until_s = time.monotonic() + duration_s
+        while time.monotonic() < until_s:
+            self._executor.spin_once(timeout_sec=0.05)
+
     def wait(self, condition: Callable[[], Any], timeout_s: float, sentence: str) -> Any:
         """Wait until a condition holds and give its value."""
         until_s = time.monotonic() + timeout_s

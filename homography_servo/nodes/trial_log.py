@@ -167,7 +167,7 @@ class TrialLog:
         elif event == STARTED:
             self.running, self._start_s, self.data.plan_sentence = True, time_s, text
         elif event == ENDED:
-            self._finish(text, time_s)
+            self.finish(text, time_s)
 
     def _home_corners(self) -> np.ndarray | None:
         """Find p_0: where the face would be seen at the virtual home pose."""
@@ -179,7 +179,8 @@ class TrialLog:
         home = face_seen_at(plan.home_from_object[0], camera.rays(plan.corners_px[0]), depth_m)
         return camera.project(home + (0.0, 0.0, depth_m)) if np.isfinite(home).all() else None
 
-    def _finish(self, text: str, time_s: float) -> None:
+    def finish(self, text: str, time_s: float) -> None:
+        """End the trial with `converged: ...` or `failed: ...`."""
         was_running, self.running = self.running, False
         word, _, sentence = text.partition(': ')
         self.data.converged, self.data.verdict = word == 'converged', sentence or text
