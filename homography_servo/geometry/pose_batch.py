@@ -71,6 +71,8 @@ def estimate_poses(object_points_m: np.ndarray, image_points_px: np.ndarray, cam
     good = np.flatnonzero(np.isfinite(views.rays).all(axis=(1, 2)))
     with np.errstate(all='ignore'):
         good, rotation, translation_m = _starts(shape, views.take(good), good)
+    if len(good) == 0:
+        return _empty(len(image))
     both = np.concatenate([good, good])
     fit = refine(views.take(both), rotation, translation_m)
     return _stack(fit, good, len(image), home_depth_m)
@@ -87,8 +89,6 @@ def _starts(shape: Shape, views: Views, index: np.ndarray
         rotation = pairs[0].reshape(-1, 2, 3, 3).swapaxes(0, 1)
         return good, rotation.reshape(-1, 3, 3), pairs[1].reshape(-1, 2, 3).swapaxes(0, 1).reshape(
             -1, 3)
-    if len(index) == 0:
-        return index, np.zeros((0, 3, 3)), np.zeros((0, 3))
     rotation, centre_m, fault = planar_starts(shape, views.rays)
     well = (fault == 0) & np.isfinite(rotation).all(axis=(0, 2, 3))
     rotation = rotation[:, well]
@@ -103,8 +103,7 @@ def _stack(fit: Fit, good: np.ndarray, count: int, home_depth_m: float) -> PoseS
     second = np.arange(half) + half * ~swap
     exists = np.isfinite(fit.chi2[first])
     distinct = exists & np.isfinite(fit.chi2[second]) & ~_same(fit, first, second)
-    stack = PoseStack(*(np.full((count, *size), np.nan) for size in (
-        (2, 4, 4), (2, 6, 6), (2,))), np.zeros(count, int), np.full(count, np.nan))
+    stack = _empty(count)
     pose = transform(fit.rotation, fit.translation_m - (0.0, 0.0, home_depth_m))
     covariance = np.linalg.inv(fit.normal + 1e-300 * np.eye(6))
     found = good[exists]
@@ -116,6 +115,11 @@ def _stack(fit: Fit, good: np.ndarray, count: int, home_depth_m: float) -> PoseS
     likelihood_ratio = np.exp(-0.5 * (stack.chi2[found, 1] - stack.chi2[found, 0]))
     stack.ambiguity[found] = np.where(distinct[exists], likelihood_ratio, 0.0)
     return stack
+
+
+def _empty(count: int) -> PoseStack:
+    return PoseStack(*(np.full((count, *size), np.nan) for size in ((2, 4, 4), (2, 6, 6), (2,))),
+                     np.zeros(count, int), np.full(count, np.nan))
 
 
 def _same(fit: Fit, first: np.ndarray, second: np.ndarray) -> np.ndarray:

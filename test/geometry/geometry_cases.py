@@ -1,10 +1,10 @@
 """Random cameras, poses and views that the tests of the geometry share."""
 
-from hypothesis import strategies as st
 from homography_servo.geometry.camera import Camera
 from homography_servo.geometry.face import face_corners
 from homography_servo.geometry.rigid import transform
 from homography_servo.geometry.rigid import transform_points
+from hypothesis import strategies as st
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -26,7 +26,8 @@ def random_pose(rng: np.random.Generator, tilt_deg: float = 60.0) -> np.ndarray:
     """Draw home_from_object with the face in view and tilted up to an angle."""
     towards = rng.uniform(-np.pi, np.pi)
     tilt = np.radians(rng.uniform(0.0, tilt_deg)) * np.array([np.cos(towards), np.sin(towards), 0])
-    rotation = Rotation.from_rotvec(tilt) * Rotation.from_rotvec([0, 0, rng.uniform(-np.pi, np.pi)])
+    gamma = np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
+    rotation = Rotation.from_rotvec(tilt) * Rotation.from_rotvec(gamma)
     depth_m = rng.uniform(0.7, 1.3)
     across_m = depth_m * rng.uniform((-0.25, -0.18), (0.25, 0.18))
     return transform(rotation.as_matrix(), np.array([*across_m, depth_m - 1.0]))

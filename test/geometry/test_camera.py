@@ -42,8 +42,9 @@ def test_rays_undo_projection(camera, pixels):
 def test_jacobian_is_the_derivative(camera, pixels):
     rays, step = camera.rays(pixels), 1e-6
     for axis, offset in enumerate(step * np.eye(2)):
-        slope = (camera.project_rays(rays + offset) - camera.project_rays(rays - offset)) / 2 / step
-        assert camera.jacobian(rays)[..., axis] == pytest.approx(slope, rel=1e-6, abs=1e-4)
+        difference_px = camera.project_rays(rays + offset) - camera.project_rays(rays - offset)
+        assert camera.jacobian(rays)[..., axis] == pytest.approx(
+            difference_px / (2.0 * step), rel=1e-6, abs=1e-4)
 
 
 @pytest.mark.parametrize('camera', [BENT, RATIONAL], ids=['plumb_bob', 'rational'])
