@@ -36,7 +36,7 @@ def parser() -> argparse.ArgumentParser:
     """Describe the command line."""
     about = argparse.ArgumentParser(
         prog='bringup', description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog='example:\n  bringup --config sim.yaml --set camera_sim.noise_sigma:=5.0')
+        epilog='example:\n  bringup --config sim.yaml --set camera_sim.noise_grey:=5.0')
     about.add_argument('--config', default='sim.yaml', metavar='FILE',
                        help='a path or an installed name: sim.yaml, real.yaml, teabox.yaml')
     about.add_argument('--dashboard', action='store_true',

@@ -8,8 +8,8 @@ import cv2
 from homography_servo.geometry.camera import Camera
 from homography_servo.simulation.coverage import Region
 from homography_servo.simulation.scene_settings import SceneSettings
-from homography_servo.simulation.surfaces import print_texture
 from homography_servo.simulation.surfaces import PRINT_TEXELS_PER_M
+from homography_servo.simulation.surfaces import print_texture
 import numpy as np
 
 
