@@ -45,6 +45,14 @@ class Edges(NamedTuple):
     lines: np.ndarray  # scan lines in the segment
     second: SecondEdge | None
 
+    @property
+    def single(self) -> np.ndarray:
+        """Tell which segments show one edge only."""
+        single = np.ones(len(self.side), bool)
+        if self.second is not None:
+            single[self.second.segment] = False
+        return single
+
 
 class SecondEdge(NamedTuple):
     """Normal equations of the strips' widths; one entry per segment with a strip."""

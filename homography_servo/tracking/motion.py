@@ -19,7 +19,7 @@ class Motion:
     """
 
     def __init__(self) -> None:
-        self._corners: np.ndarray | None = None
+        self.corners: np.ndarray | None = None
         self._velocity: np.ndarray | None = None
         self._stamp_s = 0.0
         self._period_s = 1.0 / 30.0
@@ -31,28 +31,28 @@ class Motion:
 
     def measured(self, corners: np.ndarray, stamp_s: float) -> None:
         """Take in a trusted measurement."""
-        if self._corners is not None:
+        if self.corners is not None:
             self._period_s = self.period(stamp_s)
-            self._velocity = (corners - self._corners) / self._period_s
-        self._corners, self._stamp_s = corners, stamp_s
+            self._velocity = (corners - self.corners) / self._period_s
+        self.corners, self._stamp_s = corners, stamp_s
 
     def predict(self, stamp_s: float) -> Prior:
         """Give the corners expected at a time, and their prior."""
-        if self._corners is None:
+        if self.corners is None:
             raise ValueError('nothing has been measured yet')
-        moved = np.zeros_like(self._corners)
+        moved = np.zeros_like(self.corners)
         if self._velocity is not None:
             moved = self._velocity * self.period(stamp_s)
         shape_sigma_px = 1.0 + 0.1 * float(np.abs(moved).max())
-        return shape_prior(self._corners + moved, shape_sigma_px)
+        return shape_prior(self.corners + moved, shape_sigma_px)
 
 
 def shape_prior(corners: np.ndarray, shape_sigma_px: float) -> Prior:
     """Hold the shape of a polygon but not its place, direction and size."""
     free = similarity_basis(corners)
-    covariance = shape_sigma_px ** 2 * np.eye(corners.size) \
-        + FREE_SIGMA_PX ** 2 * free @ free.T
-    return Prior(corners, np.linalg.inv(covariance))
+    # The inverse of shape_sigma^2 I + FREE_SIGMA^2 free free^T, free being orthonormal.
+    ratio = FREE_SIGMA_PX ** 2 / (FREE_SIGMA_PX ** 2 + shape_sigma_px ** 2)
+    return Prior(corners, (np.eye(corners.size) - ratio * (free @ free.T)) / shape_sigma_px ** 2)
 
 
 def similarity_basis(corners: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from homography_servo.tracking.edges import middle
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.profile import edge_profile
 from homography_servo.tracking.scan import read_scan
+from homography_servo.tracking.scan import Scan
 from homography_servo.tracking.strips import Strips
 import numpy as np
 
@@ -37,8 +38,8 @@ class Look(NamedTuple):
     half: int  # pixels on either side of the edge
     stride: int = 1  # distance of the scan lines [px]
     lines: int = 6  # scan lines per segment
-    iterations: int = 3  # linear steps at most
-    done_px: float = 0.05  # a smaller step is the last one
+    iterations: int = 4  # linear steps at most
+    done_px: float = 0.1  # a smaller step is the last one
     sure_px: float = 0.15  # scatter between segments that is not surprising
     first_sure_px: float = 0.6  # the same in the first round
 
@@ -64,6 +65,8 @@ class SnakeFit(NamedTuple):
     miss: np.ndarray  # (s,) distance of the segments from the shape [px]
     step: np.ndarray  # (2m,) last move of the corners
     moved_px: float  # its largest component
+    scan: Scan | None = None  # the pixels it was fitted to
+    strips: Strips | None = None  # the sides of the box that were expected
 
 
 def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = IMAGE_PLANE,
@@ -114,7 +117,7 @@ def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = I
             break
         if strips is not None:
             strips = strips._replace(width=strips.width + strips.rows @ fit.step)
-    return fit
+    return fit._replace(scan=scan, strips=strips)
 
 
 def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Prior | None,

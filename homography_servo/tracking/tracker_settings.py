@@ -11,6 +11,8 @@ from homography_servo.settings import Settings
 from homography_servo.settings import text
 from homography_servo.settings import whole
 
+POLARITIES = {'any': 0, 'bright': 1, 'dark': -1}
+
 
 @dataclass(frozen=True)
 class TrackerSettings(Settings):
@@ -19,12 +21,12 @@ class TrackerSettings(Settings):
     edge_blur_px: float = real(
         0.6, 0.0, 6.0, 'px', 'standard deviation of the lens blur to begin with; it is '
         'estimated from the edges while tracking')
-    edge_half_px: int = whole(5, 3, 16, 'px', 'pixels read on either side of an edge')
+    edge_half_px: int = whole(4, 3, 16, 'px', 'pixels read on either side of an edge')
     search_px: float = real(
         24.0, 2.0, 100.0, 'px', 'how far from its prediction the face is looked for')
     polarity: str = text(
         'any', 'whether the face is brighter or darker than what surrounds it',
-        choices=('any', 'bright', 'dark'))
+        choices=tuple(POLARITIES))
     min_contrast: float = real(
         8.0, 1.0, 200.0, 'grey levels', 'median contrast of the edges below which nothing is '
         'trusted')
@@ -34,8 +36,11 @@ class TrackerSettings(Settings):
         1.0, 0.01, 20.0, 'px', 'standard deviation of a corner above which the measurement '
         'is not trusted')
     max_jump_px: float = real(
-        12.0, 1.0, 100.0, 'px', 'largest difference between a corner and its prediction '
+        6.0, 1.0, 100.0, 'px', 'largest difference between a corner and its prediction '
         'after the common motion of all corners is taken out')
+    max_shape_miss_px: float = real(
+        1.5, 0.1, 100.0, 'px', 'largest RMS distance of the corners from the nearest view of '
+        'the face that is trusted; needs a calibrated camera')
     coasting_frames: int = whole(
         3, 0, 30, 'frames', 'frames that are bridged by prediction before the face is lost')
     coasting_s: float = real(

@@ -1,0 +1,231 @@
+"""Follow the face from picture to picture, and doubt what does not fit."""
+
+from __future__ import annotations
+
+from homography_servo.geometry.face import face_corners
+from homography_servo.result import Rejected
+from homography_servo.tracking.box import BoxSides
+from homography_servo.tracking.face_pose import pose_of_face
+from homography_servo.tracking.focus import first_focus
+from homography_servo.tracking.focus import refocus
+from homography_servo.tracking.locate import Locator
+from homography_servo.tracking.motion import Motion
+from homography_servo.tracking.motion import shape_prior
+from homography_servo.tracking.motion import similarity_basis
+from homography_servo.tracking.plane import Plane
+from homography_servo.tracking.scan import read_scan
+from homography_servo.tracking.snake import fit_snake
+from homography_servo.tracking.snake import INLIER_WEIGHT
+from homography_servo.tracking.snake import Look
+from homography_servo.tracking.snake import Prior
+from homography_servo.tracking.snake import quality_of
+from homography_servo.tracking.snake import SnakeFit
+from homography_servo.tracking.tracker_settings import POLARITIES
+from homography_servo.tracking.tracker_settings import TrackerSettings
+import numpy as np
+
+WIDE = (Look(4.0, 12, 3, 3, 3, 0.5, 1.0, 2.0), Look(2.0, 8, 3, 3, 3, 0.3, 0.5, 1.0))
+MEDIUM = WIDE[1:]
+SEEN_SIDE = 0.3  # share of its lines that makes a side seen
+SIDES_NEEDED = 3
+GIVEN_SHAPE_SIGMA_PX = 4.0
+OTHER_SIZE = 0.25  # relative change of size from one picture to the next
+FOCUS_HALF = 8  # pixels around the edges for a first look at the blur
+SETTLED_PX = 0.5  # largest last step of a fit that has found its place
+FIRST_STEPS, NEXT_STEPS = 6, 2  # of the pose
+REFOCUS_EVERY, REFOCUS_FIRST = 10, 10  # pictures
+REMEMBER_EVERY = 3
+
+
+class Follower:
+    """
+    Everything that is remembered about a face that is being followed.
+
+    Parameters
+    ----------
+    settings : TrackerSettings
+        How to follow and trust.
+    plane : Plane
+        Straightens the lens.
+    face_size_m : (float, float)
+        Width and height of the face.
+    box_height_m : float
+        How far the box reaches behind the face.
+
+    """
+
+    def __init__(self, settings: TrackerSettings, plane: Plane,
+                 face_size_m: tuple[float, float], box_height_m: float) -> None:
+        self.settings, self._plane = settings, plane
+        self.blur_px = settings.edge_blur_px
+        self._box: BoxSides | None = None
+        if box_height_m > 0.0 and plane.camera is not None:
+            self._box = BoxSides(face_size_m, box_height_m, plane)
+        self._locator = Locator()
+        self._contrast: float | None = None
+        self._accepted = 0
+        self._points_m, self._pose = face_corners(*face_size_m), None
+        self.forget()
+
+    @property
+    def following(self) -> bool:
+        """Tell whether there is a face to follow."""
+        return self._motion is not None
+
+    @property
+    def last_px(self) -> np.ndarray | None:
+        """Give the last corners in the image."""
+        return None if self._motion is None else self._plane.to_image(self._motion.corners)
+
+    def forget(self) -> None:
+        """Stop following; what the face looks like stays known."""
+        self._motion: Motion | None = None
+
+    def follow(self, image: np.ndarray, stamp_s: float,
+               given: np.ndarray | None) -> SnakeFit | Rejected:
+        """
+        Find the face near where it must be by now.
+
+        Parameters
+        ----------
+        image : (H, W) uint8 array
+            The picture.
+        stamp_s : float
+            When it was taken.
+        given : (4, 2) array or None
+            Corners that the arm expects, in the plane.
+
+        Returns
+        -------
+        SnakeFit or Rejected
+
+        """
+        prior = self._motion.predict(stamp_s)
+        fit = self._fine(image, prior)
+        if fit:
+            return fit
+        why = fit
+        for corners in (self._locate(image, prior.corners), given):
+            if not fit and corners is not None:
+                fit = self._near(image, Prior(corners, prior.information), MEDIUM)
+        return fit or why
+
+    def capture(self, image: np.ndarray, prior: Prior) -> SnakeFit | Rejected:
+        """Find the face around corners that are known to some pixels only."""
+        fit = self._near(image, prior, WIDE)
+        if not fit:
+            corners = self._locate(image, prior.corners)
+            if corners is not None:
+                fit = self._near(image, Prior(corners, prior.information), MEDIUM)
+        if not fit or self._accepted:
+            return fit
+        return self.settle(image, fit)
+
+    def settle(self, image: np.ndarray, fit: SnakeFit) -> SnakeFit | Rejected:
+        """Learn blur and the levels of the box's sides from a first fit, and fit again."""
+        scan = read_scan(image, fit.corners, self._plane, FOCUS_HALF)
+        if scan is not None:
+            self.blur_px = first_focus(scan, fit.corners)
+        for _ in range(2 if self._box is None else 4):
+            if self._box is not None:
+                self._box.learn(fit.edges, fit.weight, fit.strips, self.settings.edge_half_px)
+            fit = self._fine(image, shape_prior(fit.corners, GIVEN_SHAPE_SIGMA_PX))
+            if isinstance(fit, Rejected):
+                return fit
+        return fit
+
+    def accept(self, image: np.ndarray, fit: SnakeFit, stamp_s: float) -> None:
+        """Learn from a fit that is trusted."""
+        if self._motion is None:
+            self._motion = Motion()
+        self._motion.measured(fit.corners, stamp_s)
+        self._accepted += 1
+        good = fit.weight > INLIER_WEIGHT
+        if good.any():
+            contrast = float(np.mean(fit.edges.contrast[good]))
+            self._contrast = contrast if self._contrast is None \
+                else self._contrast + 0.1 * (contrast - self._contrast)
+        if self._box is not None:
+            self._box.learn(fit.edges, fit.weight, fit.strips, self.settings.edge_half_px)
+        if self._accepted % REMEMBER_EVERY == 1:
+            self._locator.remember(image, self._plane.to_image(fit.corners))
+        if self._accepted <= REFOCUS_FIRST or self._accepted % REFOCUS_EVERY == 0:
+            clean = good if fit.edges.second is None else good & fit.edges.single
+            self.blur_px = refocus(fit.scan, fit.corners, clean, self.blur_px)
+
+    def _locate(self, image: np.ndarray, corners: np.ndarray) -> np.ndarray | None:
+        shown = self._locator.locate(image, self._plane.to_image(corners),
+                                     self.settings.search_px)
+        return None if shown is None else self._plane.from_image(shown)
+
+    def _near(self, image: np.ndarray, prior: Prior,
+              looks: tuple[Look, ...]) -> SnakeFit | Rejected:
+        """Go from soft and wide to sharp and narrow."""
+        start = prior
+        for look in looks:
+            wide = fit_snake(image, start.corners, look, self._plane, start,
+                             POLARITIES[self.settings.polarity])
+            if isinstance(wide, Rejected):
+                return wide
+            start = shape_prior(wide.corners, GIVEN_SHAPE_SIGMA_PX)
+        return self._fine(image, start)
+
+    def _fine(self, image: np.ndarray, prior: Prior) -> SnakeFit | Rejected:
+        blur_px = round(50.0 * self.blur_px) / 50.0
+        half = self.settings.edge_half_px + max(0, round(2.0 * (blur_px - 0.8)))
+        strips = None if self._box is None else self._box.strips(prior.corners)
+        fit = fit_snake(image, prior.corners, Look(blur_px, half), self._plane, prior,
+                        POLARITIES[self.settings.polarity], strips)
+        if isinstance(fit, Rejected):
+            return fit
+        doubt = self._doubt(fit, prior)
+        return Rejected(doubt) if doubt else fit
+
+    def _doubt(self, fit: SnakeFit, prior: Prior) -> str:
+        """Give the reason not to trust a fit, or nothing."""
+        settings, quality = self.settings, quality_of(fit)
+        if abs(quality.contrast) < settings.min_contrast:
+            return f'the contrast of the edges is {quality.contrast:.0f} grey levels'
+        if quality.inlier_share < settings.min_inlier_share:
+            return f'only {quality.inlier_share:.0%} of the lines agree'
+        if np.count_nonzero(quality.side_share > SEEN_SIDE) < SIDES_NEEDED:
+            return 'fewer than three sides are visible'
+        sigma_px = float(np.sqrt(np.diag(fit.covariance).max()))
+        if fit.moved_px > SETTLED_PX:
+            return f'the fit has not settled: it moves by {fit.moved_px:.1f} px'
+        if sigma_px > settings.max_corner_sigma_px:
+            return f'a corner is uncertain by {sigma_px:.2f} px'
+        return self._surprise(fit, prior) or self._not_the_face(fit)
+
+    def _not_the_face(self, fit: SnakeFit) -> str:
+        """Check that the corners are the projection of the rectangle."""
+        if self._plane.camera is None:
+            return ''
+        pose = pose_of_face(self._points_m, self._plane.rays(fit.corners), self._pose,
+                            FIRST_STEPS if self._pose is None else NEXT_STEPS)
+        if isinstance(pose, Rejected):
+            self._pose = None
+            return pose.reason
+        miss_px = float(self._plane.focal.mean() * np.sqrt(np.mean(pose.miss ** 2)))
+        if miss_px > self.settings.max_shape_miss_px:
+            self._pose = None
+            return f'the corners miss a view of the face by {miss_px:.1f} px'
+        self._pose = pose
+        return ''
+
+    def _surprise(self, fit: SnakeFit, prior: Prior) -> str:
+        """Compare a fit with what was expected."""
+        move = (fit.corners - prior.corners).ravel()
+        basis = similarity_basis(prior.corners)
+        common = basis.T @ move
+        bend_px = float(np.abs(move - basis @ common).max())
+        if bend_px > self.settings.max_jump_px:
+            return f'the shape changed by {bend_px:.1f} px at once'
+        if self._motion is None:
+            return ''
+        away = prior.corners - prior.corners.mean(axis=0)
+        if abs(common[2]) > OTHER_SIZE * np.sqrt((away * away).sum()):
+            return 'the size changed at once'
+        if np.abs(common[:2]).max() > 2.0 * self.settings.search_px:
+            return 'the face jumped'
+        return ''
