@@ -19,6 +19,7 @@ from homography_servo.nodes.conversions import seconds_from_stamp
 from homography_servo.nodes.conversions import trajectory_msg
 from homography_servo.nodes.conversions import transform_from_pose
 from homography_servo.nodes.conversions import transforms_from_poses
+from homography_servo.nodes.deferred import DeferredTrigger
 from homography_servo.nodes.kit import COMMANDS
 from homography_servo.nodes.kit import DEFAULT
 from homography_servo.nodes.kit import ERROR
@@ -31,6 +32,11 @@ from homography_servo.nodes.kit import WARN
 from homography_servo.nodes.parameters import Parameters
 from homography_servo.nodes.run import run_node
 from homography_servo.places import find_config
+from homography_servo.planning.calibration import calibration_poses
+from homography_servo.planning.calibration import CalibrationPoseSettings
+from homography_servo.planning.calibration import CalibrationSettings
+from homography_servo.planning.calibration_run import CalibrationRun
+from homography_servo.planning.calibration_run import CalibrationRunSettings
 from homography_servo.planning.command import Command
 from homography_servo.planning.joint_lead import JointLead
 from homography_servo.planning.servo import FAILED
@@ -40,6 +46,7 @@ from homography_servo.planning.servo_settings import ServoSettings
 from homography_servo.result import Rejected
 from homography_servo.robot.robot_file import load_robot
 from homography_servo.robot.robot_file import Robot
+from homography_servo.robot.robot_file import save_robot
 from homography_servo.settings import Settings
 from homography_servo.settings import text
 import numpy as np
@@ -67,7 +74,8 @@ class VisualServo(NodeKit, Node):
     """Move the object along the planned path while looking at it."""
 
     NAME = 'visual_servo'
-    SETTINGS = (VisualServoSettings, ServoSettings)
+    SETTINGS = (VisualServoSettings, ServoSettings, CalibrationRunSettings,
+                CalibrationPoseSettings, CalibrationSettings)
     EXAMPLE = 'ros2 run homography_servo visual_servo --ros-args -p mode:=continuous'
 
     def __init__(self, **kwargs) -> None:
@@ -80,6 +88,8 @@ class VisualServo(NodeKit, Node):
         self._poses_msg: PoseArray | None = None
         self._verdict_msg: DiagnosticArray | None = None
         self._plan_msg: JointTrajectory | None = None
+        self._calibration: CalibrationRun | None = None
+        self._ended_as = ''  # how a calibration ended, until the next start
         self._shown_state, self._shown_progress = '', None
         self._publish_to()
         self._listen_to()
@@ -103,6 +113,7 @@ class VisualServo(NodeKit, Node):
         self.serve(Trigger, '~/start', self._on_start)
         self.serve(Trigger, '~/stop', self._on_stop)
         self.serve(SetBool, '~/pause', self._on_pause)
+        self._calibrate = DeferredTrigger(self, '~/calibrate', self._on_calibrate)
 
     # Inputs.
 
@@ -172,12 +183,66 @@ class VisualServo(NodeKit, Node):
             self.reject('object_pose', pose.reason)
         self._tick()
 
+    def _on_calibrate(self) -> Rejected | None:
+        """Begin a calibration; its answer comes when it has ended."""
+        if self._active:
+            return Rejected('on the way; stop first')
+        trouble = self._servo.watch.trouble(time.monotonic(), self._servo.settings)
+        if trouble:
+            return Rejected(trouble)
+        settings = self._parameters[CalibrationRunSettings]
+        postures = calibration_poses(
+            self._robot, self._camera, settings.calibration_postures,
+            start_rad=self._servo.watch.joints.latest_rad,
+            settings=self._parameters[CalibrationPoseSettings])
+        if isinstance(postures, Rejected):
+            return postures
+        self._calibration = CalibrationRun(
+            self._robot, self._camera, postures, self._servo.watch, self._servo.settings,
+            settings, self._parameters[CalibrationSettings])
+        self._tick()
+        return None
+
+    def _end_calibration(self) -> None:
+        """Answer the caller, and write the file that was asked for."""
+        run, self._calibration = self._calibration, None
+        self._ended_as = run.state_text
+        result = run.result
+        if isinstance(result, Rejected):
+            self._calibrate.answer(False, result.reason)
+            return
+        sentence, file = result.sentence, self._parameters[CalibrationRunSettings].calibration_file
+        if file:
+            try:
+                save_robot(file, result.robot, f'Calibrated: {sentence}.')
+            except OSError as error:
+                self._calibrate.answer(False, f'{sentence}; {file} was not written: {error}')
+                return
+            sentence += f'; written to {file}'
+        self.get_logger().info(sentence)
+        self._calibrate.answer(True, sentence)
+
+    @property
+    def _active(self) -> bool:
+        return self._servo.active or self._calibration is not None
+
+    @property
+    def _state_text(self) -> str:
+        if self._calibration is not None:
+            return self._calibration.state_text
+        return self._ended_as or self._servo.state_text
+
     def _on_start(self, _) -> tuple[bool, str]:
+        if self._calibration is not None:
+            return False, 'a calibration is on the way; stop first'
+        self._ended_as = ''
         answer = self._servo.start(time.monotonic())
         self._tick()
         return not isinstance(answer, Rejected), str(answer)
 
     def _on_stop(self, _) -> tuple[bool, str]:
+        if self._calibration is not None:
+            self._calibration.stop('stopped by the operator')
         answer = self._servo.stop()
         self._tick()
         return True, answer
@@ -190,13 +255,17 @@ class VisualServo(NodeKit, Node):
     # Outputs.
 
     def _tick(self) -> None:
-        command = self._servo.tick(time.monotonic())
+        now_s = time.monotonic()
+        active = self._servo if self._calibration is None else self._calibration
+        command = active.tick(now_s)
         if command is not None:
             self._commands.publish(self._trajectory(command))
-        if self._servo.state_text != self._shown_state:
-            self._shown_state = self._servo.state_text
+        if self._calibration is not None and not self._calibration.active:
+            self._end_calibration()
+        if self._state_text != self._shown_state:
+            self._shown_state = self._state_text
             self._state.publish(String(data=self._shown_state))
-            if self._servo.state in (FAILED, HOLD):
+            if self._shown_state.startswith((FAILED, HOLD)):
                 self.get_logger().warning(self._shown_state)
         if self._servo.progress is not self._shown_progress:
             self._shown_progress = self._servo.progress
@@ -237,16 +306,18 @@ class VisualServo(NodeKit, Node):
             WARN if self._servo.state == HOLD else OK
         values = {**self._servo.progress._asdict(), 'looks_in_filter': self._servo.filter.looks,
                   'surprise': self._servo.filter.surprise}
-        return [Health('servo', level, self._servo.state_text, values)]
+        return [Health('servo', level, self._state_text, values)]
 
     def on_fault(self, error: Exception) -> None:
         """Stop when the servo itself failed."""
+        if self._calibration is not None:
+            self._calibration.stop(f'internal error: {error}')
         self._servo.fail(f'internal error: {error}')
         self._commands.publish(self._trajectory(Command()))
 
     def on_signal(self) -> None:
         """Stop the arm before the process ends."""
-        if self._servo.active:
+        if self._active:
             self._commands.publish(self._trajectory(Command()))
 
 

@@ -75,8 +75,9 @@ def damped_step(jacobian: np.ndarray, twist: np.ndarray) -> np.ndarray:
     """
     Solve for the joint step of a displacement.
 
-    For (..., 6, n) and (..., 6) stacks. Damping comes in smoothly where the smallest singular value falls below
-    ``SINGULAR`` (Nakamura and Hanafusa, 1986); elsewhere the step is exact.
+    For (..., 6, n) and (..., 6) stacks. Damping comes in smoothly where the smallest
+    singular value falls below ``SINGULAR`` (Nakamura and Hanafusa, 1986); elsewhere the
+    step is exact.
     """
     scale = np.array([1.0] * 3 + [LENGTH_M] * 3)
     left, values, right = np.linalg.svd(jacobian * scale[:, None], full_matrices=False)

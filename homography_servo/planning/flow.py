@@ -44,6 +44,8 @@ def timed(robot: Robot, here_rad: np.ndarray, share: float, points_rad: np.ndarr
 
     Parameters
     ----------
+    robot : Robot
+        Limits.
     here_rad : (n,) array
         Where the joints are now.
     share : float

@@ -36,6 +36,11 @@ class JointTrack:
         """Stamp of the newest positions."""
         return self._samples[-1][0] if self._samples else -math.inf
 
+    @property
+    def still(self) -> bool:
+        """Tell whether the joints stand."""
+        return not math.isinf(self.still_since_s)
+
     def add(self, joints_rad: np.ndarray, stamp_s: float, now_s: float) -> Rejected | None:
         """Take in a joint state; refuse what is late or repeated."""
         if self._samples:

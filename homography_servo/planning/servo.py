@@ -237,7 +237,7 @@ class Servo:
 
     def _await_arrival(self, now_s: float) -> None:
         joints = self.watch.joints
-        still = not math.isinf(joints.still_since_s)
+        still = joints.still
         near = np.abs(joints.latest_rad - self._target_rad).max() < ARRIVED_RAD
         if still and near and joints.latest_stamp_s >= self._due_stamp_s:
             self._enter_looking()

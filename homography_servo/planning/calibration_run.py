@@ -1,0 +1,202 @@
+"""
+Drive the arm from posture to posture and look, for a calibration.
+
+A state machine like `servo`, with the same watch: nothing moves without vision, joint
+states and a camera; the reason is said. Postures come from `calibration_poses`, the
+looks at each are averaged, `calibrate` makes the result.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+from homography_servo.geometry.camera import Camera
+from homography_servo.planning.arm_model import ArmModel
+from homography_servo.planning.calibration import calibrate
+from homography_servo.planning.calibration import Calibration
+from homography_servo.planning.calibration import CalibrationSettings
+from homography_servo.planning.command import Command
+from homography_servo.planning.control import corner_travel
+from homography_servo.planning.control import move_time
+from homography_servo.planning.servo import ARRIVED_RAD
+from homography_servo.planning.servo import DONE
+from homography_servo.planning.servo import FAILED
+from homography_servo.planning.servo import HOLD
+from homography_servo.planning.servo import IDLE
+from homography_servo.planning.servo import LOOKING
+from homography_servo.planning.servo import MOVING
+from homography_servo.planning.servo_settings import ServoSettings
+from homography_servo.planning.servo_watch import Watch
+from homography_servo.result import Rejected
+from homography_servo.robot.robot_file import Robot
+from homography_servo.settings import real
+from homography_servo.settings import Settings
+from homography_servo.settings import text
+from homography_servo.settings import whole
+import numpy as np
+
+OVERDUE_S = 3.0
+SHORTEST_MOVE_S = 0.1
+
+
+@dataclass(frozen=True)
+class CalibrationRunSettings(Settings):
+    """How a calibration looks around, and where its result goes."""
+
+    calibration_file: str = text(
+        '', 'robot file that ~/calibrate writes; empty: it only reports')
+    calibration_postures: int = whole(15, 12, 100, '', 'postures to look from')
+    calibration_looks: int = whole(10, 1, 1000, '', 'looks averaged at each posture')
+    calibration_lost_s: float = real(
+        5.0, 0.1, 600.0, 's', 'how long the object may be out of sight before giving up')
+
+
+class CalibrationRun:
+    """
+    One calibration, from the start to its result.
+
+    Parameters
+    ----------
+    robot : Robot
+        As believed.
+    camera : Camera
+        Exact.
+    postures_rad : (K, n) array
+        To look from, each reachable from the one before.
+    watch : Watch
+        What comes in; shared with the servo.
+
+    """
+
+    def __init__(self, robot: Robot, camera: Camera, postures_rad: np.ndarray, watch: Watch,
+                 servo: ServoSettings = ServoSettings(),
+                 settings: CalibrationRunSettings = CalibrationRunSettings(),
+                 limits: CalibrationSettings = CalibrationSettings()) -> None:
+        self.robot, self._camera, self._watch = robot, camera, watch
+        self._postures_rad, self._servo = postures_rad, servo
+        self._settings, self._limits = settings, limits
+        self.state, self.reason = LOOKING, ''
+        self.result: Calibration | Rejected | None = None
+        self._model = ArmModel(robot)
+        self._index = -1
+        self._rays: list[np.ndarray] = []
+        self._seen: list[tuple[np.ndarray, np.ndarray]] = []  # joints, mean rays
+        self._due_s = self._due_stamp_s = -math.inf
+        self._blind_since_s = math.inf
+        self._pending: Command | None = None
+        self._go_next = True
+
+    @property
+    def active(self) -> bool:
+        """Tell whether it is not finished."""
+        return self.result is None
+
+    @property
+    def state_text(self) -> str:
+        """Give the state with its reason."""
+        return f'{self.state}: {self.reason}' if self.reason else self.state
+
+    @property
+    def position(self) -> tuple[int, int]:
+        """Count the posture that is looked from now, of how many."""
+        return self._index + 1, len(self._postures_rad)
+
+    def stop(self, reason: str) -> None:
+        """Give up."""
+        self._finish(Rejected(reason))
+        self.state, self.reason = IDLE, ''
+        self._pending = Command()
+
+    def tick(self, now_s: float) -> Command | None:
+        """Go on as far as possible; give the command to send now, if any."""
+        if self.active:
+            self._advance(now_s)
+        command, self._pending = self._pending, None
+        return command
+
+    def _advance(self, now_s: float) -> None:
+        trouble = self._watch.trouble(now_s, self._servo)
+        if trouble:
+            self._hold(trouble, now_s)
+            return
+        if self.state == HOLD:  # go to the posture again, the arm may stand anywhere
+            self._blind_since_s = math.inf
+            self._watch.moved_unseen_rad()
+            self._move(now_s)
+        elif self._go_next:
+            self._next(now_s)
+        elif self.state == MOVING:
+            self._await_arrival(now_s)
+        else:
+            self._look()
+
+    def _hold(self, reason: str, now_s: float) -> None:
+        if self.state != HOLD:
+            self._pending = Command()
+            self._blind_since_s = now_s
+        self.state, self.reason = HOLD, reason
+        if now_s - self._blind_since_s > self._settings.calibration_lost_s \
+                and not self._watch.paused:
+            self._pending = Command()
+            self._finish(Rejected(f'at posture {self._index + 1} of {len(self._postures_rad)}: '
+                                  f'{reason}'))
+
+    def _next(self, now_s: float) -> None:
+        self._go_next = False
+        self._index += 1
+        if self._index == len(self._postures_rad):
+            self._solve()
+        else:
+            self._move(now_s)
+
+    def _move(self, now_s: float) -> None:
+        joints, target = self._watch.joints, self._postures_rad[self._index]
+        here = joints.latest_rad
+        travel_px = self._watch.focal_px * corner_travel(
+            self._model, here, target, self.robot.object_points_m, self.robot.home_depth_m)
+        time_s = max(SHORTEST_MOVE_S, move_time(self.robot, target - here)
+                     / self._servo.speed_share, 1.5 * travel_px / self._servo.corner_speed_px_s)
+        self._due_s, self._due_stamp_s = now_s + time_s, joints.latest_stamp_s + time_s
+        self._rays = []
+        self._watch.sight.queue.clear()
+        self.state, self.reason = MOVING, ''
+        self._pending = Command.to(target, time_s)
+
+    def _await_arrival(self, now_s: float) -> None:
+        joints = self._watch.joints
+        away = np.abs(joints.latest_rad - self._postures_rad[self._index]).max()
+        if joints.still and away < ARRIVED_RAD and joints.latest_stamp_s >= self._due_stamp_s:
+            self.state = LOOKING
+        elif now_s > self._due_s + OVERDUE_S:
+            self._pending = Command()
+            self._finish(Rejected(f'the arm does not reach posture {self._index + 1}, '
+                                  f'{math.degrees(away):.1f} deg are left'))
+
+    def _look(self) -> None:
+        joints = self._watch.joints
+        stood_s = max(joints.still_since_s, self._due_stamp_s) + self._servo.settle_s
+        while self._watch.sight.queue:
+            stamp_s, look = self._watch.sight.queue.popleft()
+            if stamp_s >= stood_s:
+                self._rays.append(look.rays)
+        if len(self._rays) >= self._settings.calibration_looks:
+            rays = np.median(self._rays, axis=0) if len(self._rays) < 5 else _trimmed(self._rays)
+            self._seen.append((joints.latest_rad, rays))
+            self._go_next = True
+
+    def _solve(self) -> None:
+        joints_rad = np.array([joints for joints, _ in self._seen])
+        rays = np.array([rays for _, rays in self._seen]).reshape(len(joints_rad), -1, 2)
+        corners_px = self._camera.project_rays(rays)
+        self._finish(calibrate(self.robot, self._camera, joints_rad, corners_px, self._limits))
+
+    def _finish(self, result: Calibration | Rejected) -> None:
+        self.result = result
+        failed = isinstance(result, Rejected)
+        self.state, self.reason = (FAILED, result.reason) if failed else (DONE, '')
+
+
+def _trimmed(rays: list[np.ndarray]) -> np.ndarray:
+    """Average without the smallest and the largest of each coordinate."""
+    return np.sort(rays, axis=0)[1:-1].mean(axis=0)
