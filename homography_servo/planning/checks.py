@@ -30,16 +30,25 @@ class Seen(NamedTuple):
     facing_rad: np.ndarray  # (N,)
 
 
-def required(values: np.ndarray, limit: float, worst: float) -> np.ndarray:
+def required(values: np.ndarray, limit: float, worst: float,
+             goal_known: bool = False) -> np.ndarray:
     """
     Give the value that each pose needs when larger is better.
 
     Normally the limit. A path that starts below it may leave from there: until it
     has come up to the limit for the first time it must not fall below its start,
-    nor below the worst value that is ever allowed.
+    nor below the worst value that is ever allowed. Where the goal is known to be
+    possible, because the arm stood there when it was taught, the same holds for the
+    end of the path.
     """
-    arrived = np.logical_or.accumulate(values >= limit)
-    return np.where(arrived, limit, min(limit, max(float(values[0]) - SLACK, worst)))
+    def loosened(end: float) -> float:
+        return min(limit, max(end - SLACK, worst))
+    fine = values >= limit
+    needed = np.where(np.logical_or.accumulate(fine), limit, loosened(float(values[0])))
+    if not goal_known:
+        return needed
+    still = np.logical_or.accumulate(fine[::-1])[::-1]
+    return np.minimum(needed, np.where(still, limit, loosened(float(values[-1]))))
 
 
 def _check(name: str, values: np.ndarray, needed: np.ndarray,
@@ -48,10 +57,11 @@ def _check(name: str, values: np.ndarray, needed: np.ndarray,
     return Check(name, good, {int(k): say(int(k)) for k in np.flatnonzero(~good)})
 
 
-def check_field(seen: Seen, settings: FeasibilitySettings, worst_px: float = 0.0) -> Check:
+def check_field(seen: Seen, settings: FeasibilitySettings, worst_px: float = 0.0,
+                goal_known: bool = False) -> Check:
     """Keep all points inside the image."""
     border = seen.border_px.min(axis=1)
-    needed = required(border, settings.field_margin_px, worst_px)
+    needed = required(border, settings.field_margin_px, worst_px, goal_known)
 
     def say(k: int) -> str:
         corner = int(np.argmin(seen.border_px[k]))
@@ -64,10 +74,10 @@ def check_field(seen: Seen, settings: FeasibilitySettings, worst_px: float = 0.0
 
 
 def check_facing(seen: Seen, settings: FeasibilitySettings,
-                 worst_rad: float = np.pi / 2) -> Check:
+                 worst_rad: float = np.pi / 2, goal_known: bool = False) -> Check:
     """Keep the face towards the camera."""
     limit = -np.radians(settings.facing_limit_deg)
-    needed = required(-seen.facing_rad, limit, -worst_rad)
+    needed = required(-seen.facing_rad, limit, -worst_rad, goal_known)
 
     def say(k: int) -> str:
         degrees = np.degrees(seen.facing_rad[k])
@@ -78,9 +88,10 @@ def check_facing(seen: Seen, settings: FeasibilitySettings,
     return _check('facing', -seen.facing_rad, needed, say)
 
 
-def check_mirror(ambiguity: np.ndarray, settings: FeasibilitySettings) -> Check:
+def check_mirror(ambiguity: np.ndarray, settings: FeasibilitySettings,
+                 goal_known: bool = False) -> Check:
     """Keep the mirror pose apart, where that is asked for."""
-    needed = required(-ambiguity, -settings.ambiguity_max, -1.0)
+    needed = required(-ambiguity, -settings.ambiguity_max, -1.0, goal_known)
     return _check('mirror', -ambiguity, needed, lambda k: (
         f'the mirror pose would be hard to tell apart (ambiguity {ambiguity[k]:.2f}, '
         f'{-needed[k]:.2f} is allowed)'))
@@ -100,7 +111,8 @@ def check_agreement(poses: np.ndarray, believed: np.ndarray,
 
 
 def judge_joints(robot: Robot, followed: Followed, values: PoseValues,
-                 settings: FeasibilitySettings, led: bool) -> tuple[PoseValues, list[Check]]:
+                 settings: FeasibilitySettings, led: bool, goal_known: bool
+                 ) -> tuple[PoseValues, list[Check]]:
     """
     Add what the joints along the path say to the values, and judge it.
 
@@ -112,15 +124,15 @@ def judge_joints(robot: Robot, followed: Followed, values: PoseValues,
     index = np.argmin(room, axis=1)
     step = np.abs(np.diff(joints, axis=0, append=joints[-1:]))
     found = conditioning(robot, joints, settings.conditioning_length_m)
-    near = (np.abs(found) < settings.conditioning_min) | _flips(found)
+    near = (np.abs(found) < settings.lead_below) | _flips(found)
     found = np.abs(found) if led else found
     values = values._replace(
         reached=followed.reached, joint_index=index, joint_step_rad=step.max(axis=1),
         joint_margin_rad=room.min(axis=1), conditioning=found,
-        led=led & near)
-    checks = [_reach(followed), _limits(robot, joints, values, settings),
+        led=followed.reached & near)
+    checks = [_reach(followed), _limits(robot, joints, values, settings, goal_known),
               _steps(robot, step, values, settings)]
-    return values, checks if led else [*checks, _condition(values, settings)]
+    return values, checks if led else [*checks, _condition(values, settings, goal_known)]
 
 
 def _flips(signed: np.ndarray) -> np.ndarray:
@@ -165,9 +177,9 @@ def _reach(followed: Followed) -> Check:
 
 
 def _limits(robot: Robot, joints: np.ndarray, values: PoseValues,
-            settings: FeasibilitySettings) -> Check:
+            settings: FeasibilitySettings, goal_known: bool) -> Check:
     room, index = values.joint_margin_rad, values.joint_index
-    needed = required(room, settings.joint_margin_rad, 0.0)
+    needed = required(room, settings.joint_margin_rad, 0.0, goal_known)
 
     def say(k: int) -> str:
         angle, name = np.degrees(joints[k, index[k]]), robot.joint_names[index[k]]
@@ -179,9 +191,9 @@ def _limits(robot: Robot, joints: np.ndarray, values: PoseValues,
     return _check('joint limits', room, needed, say)
 
 
-def _condition(values: PoseValues, settings: FeasibilitySettings) -> Check:
+def _condition(values: PoseValues, settings: FeasibilitySettings, goal_known: bool) -> Check:
     found = values.conditioning
-    needed = required(found, settings.conditioning_min, 0.0)
+    needed = required(found, settings.conditioning_min, 0.0, goal_known)
 
     def say(k: int) -> str:
         if found[k] < 0.0:

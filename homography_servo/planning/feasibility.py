@@ -46,7 +46,8 @@ def look(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
 def check_path(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
                robot: Robot | None = None, start_joints_rad: np.ndarray | None = None,
                settings: FeasibilitySettings = FeasibilitySettings(),
-               leading_joints_rad: np.ndarray | None = None) -> Verdict:
+               leading_joints_rad: np.ndarray | None = None, goal_known: bool = False
+               ) -> Verdict:
     """
     Judge a path.
 
@@ -67,6 +68,9 @@ def check_path(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
     leading_joints_rad : (N, n) array, optional
         Joints along the path where it was planned in joint space; they lead through
         singularities. By default joints are found by following the poses.
+    goal_known : bool
+        The goal was taught with the arm standing there: the end of the path may be as
+        near to limits as the goal itself, as the start always may.
 
     Returns
     -------
@@ -76,7 +80,7 @@ def check_path(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
     """
     poses = _checked(poses, robot, start_joints_rad)
     depth_m = settings.home_depth_m if robot is None else robot.home_depth_m
-    checks, values = _view(poses, camera, object_points_m, depth_m, settings)
+    checks, values = _view(poses, camera, object_points_m, depth_m, settings, goal_known)
     joints_rad, note = None, ''
     if robot is not None:
         believed = arm_poses(robot, poses, start_joints_rad)
@@ -84,7 +88,7 @@ def check_path(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
         followed = _as_led(leading_joints_rad, poses) if led else follow(
             robot, believed, start_joints_rad,
             (settings.reach_tolerance_m, settings.reach_tolerance_rad))
-        values, more = judge_joints(robot, followed, values, settings, led)
+        values, more = judge_joints(robot, followed, values, settings, led, goal_known)
         checks += [check_agreement(poses, believed, settings), *more]
         joints_rad, note = followed.joints_rad, _arm_note(robot, values)
     return _conclude(checks, values, joints_rad, note)
@@ -97,24 +101,26 @@ def _as_led(joints_rad: np.ndarray, poses: np.ndarray) -> Followed:
 
 
 def goal_fault(goal: np.ndarray, camera: Camera, object_points_m: np.ndarray,
-               home_depth_m: float, settings: FeasibilitySettings) -> str:
+               home_depth_m: float, settings: FeasibilitySettings,
+               goal_known: bool = False) -> str:
     """Say why the camera could not see the object at a goal (4, 4), empty if it can."""
     poses = _checked(np.asarray(goal, dtype=float)[None], None, None)
     seen = look(poses, camera, np.asarray(object_points_m, dtype=float), home_depth_m)
-    limit_rad = float(np.radians(settings.facing_limit_deg))
-    checks = (check_field(seen, settings, settings.field_margin_px),
-              check_facing(seen, settings, limit_rad))
+    border_px = 0.0 if goal_known else settings.field_margin_px
+    limit_rad = np.pi / 2 if goal_known else float(np.radians(settings.facing_limit_deg))
+    checks = (check_field(seen, settings, border_px), check_facing(seen, settings, limit_rad))
     return next((check.sentences[0] for check in checks if check.sentences), '')
 
 
 def _view(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray, depth_m: float,
-          settings: FeasibilitySettings) -> tuple[list[Check], PoseValues]:
+          settings: FeasibilitySettings, goal_known: bool) -> tuple[list[Check], PoseValues]:
     points = np.asarray(object_points_m, dtype=float)
     seen = look(poses, camera, points, depth_m)
     ambiguity = predicted_ambiguity(poses, seen.points_px, camera, points, depth_m,
                                     settings.corner_sigma_px)
-    checks = [check_field(seen, settings), check_facing(seen, settings),
-              check_mirror(ambiguity, settings)]
+    checks = [check_field(seen, settings, goal_known=goal_known),
+              check_facing(seen, settings, goal_known=goal_known),
+              check_mirror(ambiguity, settings, goal_known)]
     blank = np.full(len(poses), np.nan)
     return checks, PoseValues(
         seen.border_px.min(axis=1), seen.facing_rad, np.zeros(len(poses), dtype=bool), blank,
@@ -142,8 +148,8 @@ def _arm_note(robot: Robot, values: PoseValues) -> str:
     led = np.flatnonzero(values.led) + 1
     if not len(led):
         return note
-    return note + (f'; a singularity of the arm is passed at poses {led[0]} to {led[-1]}, where '
-                   'the planned joints lead')
+    return note + (f'; near a singularity of the arm the planned joints lead ({len(led)} poses '
+                   f'between {led[0]} and {led[-1]})')
 
 
 def _conclude(checks: list[Check], values: PoseValues, joints_rad: np.ndarray | None,

@@ -51,9 +51,11 @@ class JointSpace:
         self._sign = 1.0 if through else self._side(task.joints_rad[None])[1][0]
         asked = Values(limits.joint_margin_rad, limits.field_margin_px,
                        -np.radians(limits.facing_limit_deg), limits.conditioning_min)
-        start = self.values(task.joints_rad[None])
+        start, found = self.values(task.joints_rad[None]), self.values(task.goal_branches)
         self.limits = Values(*(min(limit, float(v[0])) for limit, v in zip(asked, start)))
-        found = self.values(task.goal_branches)
+        if task.goal_known and found.conditioning[0] > 0.0:
+            self.limits = Values(*(min(limit, float(v[0]))
+                                   for limit, v in zip(self.limits, found)))
         good = found.reach(self.limits)
         self.goals = task.goal_branches[good]
         more = Values(limits.joint_margin_rad * spare, limits.field_margin_px * spare + 1.0,

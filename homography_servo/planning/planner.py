@@ -68,14 +68,17 @@ class Plan:
         if self.attempts[-1].name in (NO_OTHER, SAME_SIDE):
             return (f'no path can be executed: {self.attempts[-1].sentence}; {first.name} '
                     f'fails at {first.sentence}')
-        others = f', {len(self.attempts)} ways tried' if len(self.attempts) > 1 else ''
-        return f'no path can be executed{others}; best was {self.family}: {self.verdict.sentence}'
+        if len(self.attempts) == 1:
+            return f'the path cannot be executed: {self.verdict.sentence}'
+        return (f'no path can be executed, {len(self.attempts)} ways tried; best was '
+                f'{self.family}: {self.verdict.sentence}')
 
 
 def plan(start_home_from_object: np.ndarray, goal_home_from_object: np.ndarray, camera: Camera,
          robot: Robot | None = None, start_joints_rad: np.ndarray | None = None,
          settings: PlannerSettings = PlannerSettings(),
-         object_points_m: np.ndarray | None = None) -> Plan | Rejected:
+         object_points_m: np.ndarray | None = None,
+         goal_joints_rad: np.ndarray | None = None) -> Plan | Rejected:
     """
     Plan a path and repair it when it is vetoed.
 
@@ -93,6 +96,8 @@ def plan(start_home_from_object: np.ndarray, goal_home_from_object: np.ndarray, 
         Limits and tries.
     object_points_m : (M, 3) array, optional
         Points of the object; those of the robot file by default.
+    goal_joints_rad : (n,) array, optional
+        Where the arm stood when the goal was taught, if it did.
 
     Returns
     -------
@@ -102,7 +107,7 @@ def plan(start_home_from_object: np.ndarray, goal_home_from_object: np.ndarray, 
 
     """
     task = _task(start_home_from_object, goal_home_from_object, camera, robot,
-                 start_joints_rad, settings, object_points_m)
+                 start_joints_rad, settings, object_points_m, goal_joints_rad)
     for name, pose in (('object', task.start), ('goal', task.goal)):
         depth_m = pose[2, 3] + task.home_depth_m
         if depth_m <= 0.0:
@@ -122,7 +127,7 @@ def _best(task: Task, first: np.ndarray) -> Plan:
         attempts.append(Attempt(proposal.name, verdict.ok, verdict.sentence))
         if best is None or verdict.ok or _further(verdict, best[0]):
             best = (verdict, proposal)
-        if verdict.ok:
+        if verdict.ok or _start_is_bad(verdict):
             break
     verdict, taken = best
     return Plan(taken.poses, verdict.joints_rad, verdict, taken.name, tuple(attempts),
@@ -131,19 +136,23 @@ def _best(task: Task, first: np.ndarray) -> Plan:
 
 def _task(start: np.ndarray, goal: np.ndarray, camera: Camera, robot: Robot | None,
           joints_rad: np.ndarray | None, settings: PlannerSettings,
-          points: np.ndarray | None) -> Task:
+          points: np.ndarray | None, goal_joints_rad: np.ndarray | None) -> Task:
     for name, pose in (('start', start), ('goal', goal)):
         if np.shape(pose) != (4, 4) or not np.isfinite(pose).all():
             raise ValueError(f'{name} must be a finite (4, 4) array, got {pose!r}')
     if robot is None and points is None:
         raise ValueError('without a robot, object_points_m must be given')
-    if robot is not None and np.shape(joints_rad) != (len(robot.joint_names),):
-        raise ValueError(f'start_joints_rad must have shape ({len(robot.joint_names)},), '
-                         f'got {np.shape(joints_rad)}')
+    for name, joints in (('start_joints_rad', joints_rad), ('goal_joints_rad', goal_joints_rad)):
+        missing = joints is None and name == 'goal_joints_rad'
+        if robot is not None and not missing and np.shape(joints) != (robot.count,):
+            raise ValueError(f'{name} must have shape ({robot.count},), got {np.shape(joints)}')
     points = robot.object_points_m if points is None else points
     joints_rad = None if joints_rad is None else np.asarray(joints_rad, dtype=float)
+    if goal_joints_rad is not None:
+        goal_joints_rad = np.asarray(goal_joints_rad, dtype=float)
     return Task(np.asarray(start, dtype=float), np.asarray(goal, dtype=float), camera,
-                np.asarray(points, dtype=float), robot, joints_rad, settings)
+                np.asarray(points, dtype=float), robot, joints_rad, settings,
+                None if robot is None else goal_joints_rad)
 
 
 def _proposals(task: Task, first: np.ndarray) -> Iterator[Proposal]:
@@ -161,6 +170,11 @@ def _proposals(task: Task, first: np.ndarray) -> Iterator[Proposal]:
         yield from method(task)
     if task.robot is not None and task.settings.pass_singularities:
         yield from through_singularity(task)
+
+
+def _start_is_bad(verdict: Verdict) -> bool:
+    """Tell whether every path would fail at once, since all begin alike."""
+    return verdict.first_bad == 0 and verdict.check != 'joint step'
 
 
 def _further(verdict: Verdict, other: Verdict) -> bool:

@@ -10,6 +10,8 @@ from __future__ import annotations
 from typing import Callable, Iterator
 
 from homography_servo.geometry.path import FAMILIES
+from homography_servo.geometry.rigid import displaced
+from homography_servo.geometry.rigid import pose_difference
 from homography_servo.planning.feasibility import goal_fault
 from homography_servo.planning.joint_space import JointSpace
 from homography_servo.planning.joint_space import search
@@ -31,7 +33,7 @@ _SAMPLES = 400
 def hopeless(task: Task) -> str:
     """Say why no path whatever can help, empty if one might."""
     fault = goal_fault(task.goal, task.camera, task.object_points_m, task.home_depth_m,
-                       task.settings)
+                       task.settings, task.goal_known)
     if fault:
         return f'at the goal {fault}'
     if task.robot is None:
@@ -183,9 +185,16 @@ def _along(task: Task, space: JointSpace, way: np.ndarray, name: str) -> Proposa
     length = np.abs(np.diff(way, axis=0)).max(axis=1).sum()
     count = max(task.count, int(np.ceil(length / (0.8 * task.settings.joint_step_rad))) + 1)
     joints_rad = spread(way, count)
-    poses = task.poses_of(joints_rad)
-    poses[0], poses[-1] = task.start, task.goal
+    poses = _bent(task.poses_of(joints_rad), task.start, task.goal)
     return Proposal(name, poses, joints_rad if space.through else None)
+
+
+def _bent(poses: np.ndarray, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """Spread along a path what the arm's model and the camera disagree by at its goal."""
+    share = np.linspace(0.0, 1.0, len(poses))[:, None]
+    bent = displaced(poses, share * pose_difference(goal, poses[-1]))
+    bent[0], bent[-1] = start, goal
+    return bent
 
 
 REPAIRS: tuple[Callable[[Task], Iterator[Proposal]], ...] = (

@@ -22,6 +22,7 @@ from homography_servo.robot.robot_file import Robot
 import numpy as np
 
 MOST_POSES = 2000
+SAME_POSTURE_RAD = 0.3
 
 
 class Proposal(NamedTuple):
@@ -44,6 +45,12 @@ class Task:
     robot: Robot | None
     joints_rad: np.ndarray | None  # (n,) at the start
     settings: PlannerSettings
+    goal_joints_rad: np.ndarray | None = None  # (n,) where the arm stood at the goal
+
+    @property
+    def goal_known(self) -> bool:
+        """Tell whether the arm stood at the goal when it was taught."""
+        return self.goal_joints_rad is not None
 
     @property
     def home_depth_m(self) -> float:
@@ -53,7 +60,7 @@ class Task:
     def check(self, proposal: Proposal) -> Verdict:
         """Judge a path in full."""
         return check_path(proposal.poses, self.camera, self.object_points_m, self.robot,
-                          self.joints_rad, self.settings, proposal.joints_rad)
+                          self.joints_rad, self.settings, proposal.joints_rad, self.goal_known)
 
     def path(self, family: str = 'paper', turn: str = 'shorter') -> np.ndarray | Rejected:
         """Interpolate from the start to the goal, with as many poses as asked for."""
@@ -97,9 +104,18 @@ class Task:
 
     @cached_property
     def goal_branches(self) -> np.ndarray:
-        """Find all joints (K, n) at the goal, the nearest to the start first."""
-        return inverse(self.robot, self.seen_from_arm @ self.goal, self.joints_rad,
-                       self.settings.seed)
+        """
+        Find all joints (K, n) at the goal, the nearest to the start first.
+
+        Joints at which the goal was taught count in any case: where the arm's model is a
+        little wrong, it may find none or slightly others.
+        """
+        target = self.seen_from_arm @ self.goal
+        found = inverse(self.robot, target, self.joints_rad, self.settings.seed)
+        if self.goal_joints_rad is None:
+            return found
+        others = [q for q in found if np.abs(q - self.goal_joints_rad).max() > SAME_POSTURE_RAD]
+        return np.array([self.goal_joints_rad, *others])
 
     def poses_of(self, joints_rad: np.ndarray) -> np.ndarray:
         """Give the poses (N, 4, 4), as the camera would measure them, of joints (N, n)."""

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from homography_servo.experiments.veto_check import Roadmap
 from homography_servo.geometry.camera import Camera
 from homography_servo.geometry.face import face_corners
 from homography_servo.geometry.path import interpolate
@@ -10,6 +11,7 @@ from homography_servo.planning.feasibility import look
 from homography_servo.planning.planner import FIRST
 from homography_servo.planning.planner import NO_OTHER
 from homography_servo.planning.planner import plan
+from homography_servo.planning.planner import SAME_SIDE
 from homography_servo.planning.settings import PlannerSettings
 from homography_servo.planning.task import shared_out
 from homography_servo.result import Rejected
@@ -52,9 +54,13 @@ def test_the_trial_needs_no_repair():
     assert found.sentence.startswith('all 31 poses are feasible')
 
 
+def singular_ways(found):
+    return 'through a singularity' in found.family
+
+
 def test_what_is_executable_keeps_every_limit(plans):
     done = [(pair, found) for pair, found in zip(PAIRS, plans) if found.ok]
-    assert len(done) > 0.7 * len(PAIRS)
+    assert len(done) > 0.95 * len(PAIRS)
     for (start, goal), found in done:
         joints = found.joints_rad
         assert np.abs(object_pose(ROBOT, joints) - found.poses).max() < 1e-4
@@ -63,26 +69,64 @@ def test_what_is_executable_keeps_every_limit(plans):
         room = np.minimum(joints - ROBOT.lower_rad, ROBOT.upper_rad - joints)
         assert room.min() >= SETTINGS.joint_margin_rad - 1e-6
         assert np.abs(np.diff(joints, axis=0)).max() <= SETTINGS.joint_step_rad
-        assert smallest(joints).min() >= SETTINGS.conditioning_min - 1e-6
-        signs = np.sign(np.linalg.det(object_jacobian(ROBOT, joints)))
-        assert (signs == signs[0]).all()
         seen = look(found.poses, CAMERA, POINTS_M, 1.0)
         assert seen.border_px.min() >= SETTINGS.field_margin_px - 1e-6
         assert np.array_equal(found.corners_px, seen.points_px)
 
 
-def test_vetoes_are_true(plans):
+def test_singularities_are_kept_off_or_passed_led_by_joints(plans):
+    assert {singular_ways(found) for found in plans if found.ok} == {False, True}
+    for found in (found for found in plans if found.ok):
+        sides = np.sign(np.linalg.det(object_jacobian(ROBOT, found.joints_rad)))
+        near = smallest(found.joints_rad)
+        led = found.verdict.values.led
+        assert led[near < SETTINGS.lead_below].all()
+        if not singular_ways(found):
+            assert (sides == sides[0]).all()
+            assert near.min() >= SETTINGS.conditioning_min - 1e-6
+        flips = np.flatnonzero(sides[1:] != sides[:-1])
+        assert led[flips].all() and led[flips + 1].all()
+
+
+def test_where_singularities_must_not_be_passed_vetoes_are_true(plans):
     """Between both sides of a singularity there is no way: the determinant would vanish."""
-    vetoed = [(pair, found) for pair, found in zip(PAIRS, plans) if not found.ok]
-    assert vetoed
-    for (start, goal), found in vetoed:
-        assert found.attempts[-1].name == NO_OTHER and 'singularity' in found.sentence
+    divided = [pair for pair, found in zip(PAIRS, plans) if singular_ways(found)]
+    assert divided
+    roadmap = Roadmap(ROBOT, CAMERA, replace(SETTINGS, pass_singularities=False), 1500)
+    for start, goal in divided:
+        found = planned(start, goal, pass_singularities=False)
+        assert not found.ok and 'singularity' in found.sentence
+        assert found.attempts[-1].name == SAME_SIDE
+        assert roadmap.confirms(start, object_pose(ROBOT, goal))
         side = np.linalg.det(object_jacobian(ROBOT, start))
         for joints in inverse(ROBOT, object_pose(ROBOT, goal)):
             room = np.minimum(joints - ROBOT.lower_rad, ROBOT.upper_rad - joints).min()
             assert np.linalg.det(object_jacobian(ROBOT, joints)) * side < 0.0 \
-                or smallest(joints) < SETTINGS.conditioning_min * 1.03 \
-                or room < SETTINGS.joint_margin_rad * 1.03
+                or smallest(joints) < SETTINGS.conditioning_min \
+                or room < SETTINGS.joint_margin_rad
+
+
+def test_the_roadmap_finds_a_way_where_the_planner_does(plans):
+    roadmap = Roadmap(ROBOT, CAMERA, replace(SETTINGS, pass_singularities=False), 1500)
+    kept_off = [pair for pair, found in zip(PAIRS, plans)
+                if found.ok and not singular_ways(found)][:10]
+    wrong = [roadmap.confirms(start, object_pose(ROBOT, goal)) for start, goal in kept_off]
+    assert sum(wrong) <= 1  # a sparse roadmap may miss one
+
+
+def test_a_taught_goal_may_lie_beyond_what_the_model_believes():
+    """The arm stood there: a model a little too short must not veto it."""
+    stretched = np.array([0.1, 0.03, 0.05, -0.05, 0.0, -0.2])
+    start = stretched + [-0.4, 0.5, 0.0, 0.0, 0.0, 0.0]
+    goal = object_pose(ROBOT, stretched)
+    goal[0, 3] += 0.006  # outwards
+    seen_start = object_pose(ROBOT, start)
+    assert not plan(seen_start, goal, CAMERA, ROBOT, start).ok
+    found = plan(seen_start, goal, CAMERA, ROBOT, start, goal_joints_rad=stretched)
+    assert found.ok and found.joints_rad[-1] == pytest.approx(stretched)
+    assert np.abs(found.poses[-1] - goal).max() < 1e-12
+    steps_m = np.linalg.norm(np.diff(found.poses[:, :3, 3], axis=0), axis=1)
+    assert steps_m.max() < 2.5 * np.median(steps_m)
 
 
 def test_several_kinds_of_repair_are_used_and_say_why_the_first_failed(plans):
@@ -140,6 +184,13 @@ def test_an_impossible_goal_is_told_at_once(goal, words):
     found = plan(object_pose(ROBOT, START_RAD), goal, CAMERA, ROBOT, START_RAD)
     assert not found.ok and words in found.sentence
     assert len(found.attempts) == 2 and found.attempts[1].name == NO_OTHER
+
+
+def test_a_start_that_is_bad_is_told_at_once():
+    outside = START_RAD + [-0.5, 0.0, 0.0, 0.0, 0.0, 0.0]
+    found = planned(outside, GOAL_RAD)
+    assert not found.ok and len(found.attempts) == 1
+    assert found.sentence.startswith('the path cannot be executed: pose 1 of 31')
 
 
 def test_a_goal_behind_the_camera_has_no_path_at_all():
