@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import re
 import socket
 import time
 
@@ -14,6 +15,7 @@ pytest.importorskip('tornado', reason='the dashboard needs tornado (python3-torn
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402,I100
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from diagnostic_msgs.msg import KeyValue  # noqa: E402
+from homography_servo.launch import bringup  # noqa: E402
 from homography_servo.nodes import dashboard_facts as facts  # noqa: E402
 from homography_servo.nodes.conversions import image_msg  # noqa: E402
 from homography_servo.nodes.dashboard_board import Board  # noqa: E402
@@ -23,6 +25,7 @@ from homography_servo.nodes.dashboard_guard import same_token  # noqa: E402
 from homography_servo.nodes.dashboard_server import Answer  # noqa: E402
 from homography_servo.nodes.dashboard_server import BROWSERS  # noqa: E402
 from homography_servo.nodes.dashboard_server import DashboardServer  # noqa: E402
+from homography_servo.nodes.dashboard_server import WEB  # noqa: E402
 from homography_servo.result import Rejected  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import Float64MultiArray  # noqa: E402
@@ -33,6 +36,27 @@ from tornado.httpclient import HTTPClientError  # noqa: E402
 from tornado.httpclient import HTTPRequest  # noqa: E402
 from tornado.ioloop import PeriodicCallback  # noqa: E402
 from tornado.websocket import websocket_connect  # noqa: E402
+
+
+# How it is started.
+
+def test_bringup_adds_it_with_its_parameters(capsys):
+    words = ['--config', 'sim.yaml', '--dashboard', '--print-config']
+    assert bringup.main([*words, '--only', 'camera_sim', '--set', 'dashboard.port:=0']) == 0
+    shown = capsys.readouterr().out
+    assert 'dashboard:' in shown and 'port: 0  # --set' in shown and 'camera_sim:' in shown
+    assert 'visual_servo:' not in shown
+    assert bringup.main(['--config', 'sim.yaml', '--print-config']) == 0
+    assert 'dashboard:' not in capsys.readouterr().out
+    assert bringup.main([*words, '--set', 'dashboard.port:=70000']) == 2
+
+
+def test_the_page_needs_nothing_from_elsewhere():
+    for file in sorted(WEB.iterdir()):
+        text = file.read_text(encoding='utf-8').replace('http://www.w3.org/2000/svg', '')
+        assert 'https://' not in text and 'http://' not in text and 'innerHTML' not in text, file
+        for name in re.findall(r'(?:src|href)="([^"]+)"|from \'./([^\']+)\'', text):
+            assert (WEB / (name[0] or name[1])).is_file(), (file, name)
 
 
 # Who may talk to it.
