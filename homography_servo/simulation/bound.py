@@ -48,23 +48,44 @@ def corner_bound(scene: Scene, camera_from_object: np.ndarray, time_s: float = 0
     Kay, Fundamentals of Statistical Signal Processing, vol. 1, sec. 3.9.
 
     """
+    slopes = corner_slopes(scene, camera_from_object, time_s)
+    if isinstance(slopes, Rejected):
+        return slopes
+    flat = slopes.reshape(8, -1)
+    sigma = scene.settings.noise_grey if noise_grey is None else noise_grey
+    information = flat @ flat.T / (sigma ** 2 + ROUNDING_VARIANCE)
+    if np.linalg.cond(information) > 1e12:
+        return Rejected('a corner leaves no trace in the picture')
+    return np.linalg.inv(information)
+
+
+def corner_slopes(scene: Scene, camera_from_object: np.ndarray,
+                  time_s: float = 0.0) -> np.ndarray | Rejected:
+    """
+    Differentiate the noise-free picture with respect to the corners.
+
+    What is printed on the face, the far corners of the box, its shadow and what is in
+    front of it stay where they are: only the edges of the face tell of its corners.
+
+    Returns
+    -------
+    (8, H, W) array or Rejected
+        Grey levels per pixel of (u0, v0, u1, v1, ...), for the region of the picture
+        that the box can change.
+
+    """
     layers = scene.layers(camera_from_object, time_s)
     weights = _corner_weights(scene.camera, layers, scene.corners(camera_from_object))
     if isinstance(weights, Rejected):
         return weights
     region = scene.region(layers.points_px)
-    columns = []
+    slopes = []
     for corner in range(4):
         for axis in range(2):
             high, low = (scene.patch(_moved(scene.camera, layers, weights, corner, axis, step),
                                      camera_from_object, region) for step in (STEP_PX, -STEP_PX))
-            columns.append((high.astype(float) - low).ravel() / (2.0 * STEP_PX))
-    slopes = np.column_stack(columns)
-    sigma = scene.settings.noise_grey if noise_grey is None else noise_grey
-    information = slopes.T @ slopes / (sigma ** 2 + ROUNDING_VARIANCE)
-    if np.linalg.cond(information) > 1e12:
-        return Rejected('a corner leaves no trace in the picture')
-    return np.linalg.inv(information)
+            slopes.append((high.astype(float) - low) / (2.0 * STEP_PX))
+    return scene.flicker(time_s) * np.array(slopes)
 
 
 def _corner_weights(camera: Camera, layers: Layers,

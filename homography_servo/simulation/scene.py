@@ -125,7 +125,7 @@ class Scene:
             region = self.region(layers.points_px)
             if not region.empty:
                 canvas[region.slices] = self.patch(layers, camera_from_object, region)
-        gain = self._flicker(time_s)
+        gain = self.flicker(time_s)
         return canvas if gain == 1.0 else canvas * np.float32(gain)
 
     def layers(self, camera_from_object: np.ndarray, time_s: float = 0.0) -> Layers:
@@ -195,7 +195,8 @@ class Scene:
     def _lit(self, image: np.ndarray, region: Region) -> np.ndarray:
         return image if self._light is None else image * self._light[region.slices]
 
-    def _flicker(self, time_s: float) -> float:
+    def flicker(self, time_s: float) -> float:
+        """Give the relative strength of the light at a time."""
         settings = self.settings
         return 1.0 + settings.flicker * math.sin(2.0 * math.pi * settings.flicker_hz * time_s)
 

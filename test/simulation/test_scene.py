@@ -3,72 +3,16 @@
 from dataclasses import replace
 
 import cv2
-from homography_servo.geometry.camera import Camera
-from homography_servo.result import Rejected
-from homography_servo.simulation.bound import corner_bound
-from homography_servo.simulation.coverage import polygon_coverage
-from homography_servo.simulation.coverage import Region
 from homography_servo.simulation.scene import Scene
 from homography_servo.simulation.scene_settings import SceneSettings
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-
-CAMERA = Camera(800.0, 800.0, 319.5, 239.5, 640, 480)
-BENT = replace(CAMERA, distortion_model='plumb_bob', distortion=(-0.25, 0.0, 0.0, 0.0, 0.0))
-FACE_M = (0.10, 0.06)
-CLEAN = SceneSettings(noise_grey=0.0, blur_px=0.0, face_level=200.0, background_level=50.0)
-
-
-def pose(x=0.0, y=0.0, z=0.75, tilt_x=0.0, tilt_y=0.0, turn=0.0) -> np.ndarray:
-    """Place the box in front of the camera; angles in degrees."""
-    camera_from_object = np.eye(4)
-    camera_from_object[:3, :3] = Rotation.from_euler(
-        'xyz', [tilt_x, tilt_y, turn], degrees=True).as_matrix()
-    camera_from_object[:3, 3] = x, y, z
-    return camera_from_object
-
-
-def random_pose(rng: np.random.Generator) -> np.ndarray:
-    """Place the box anywhere in view."""
-    return pose(*rng.uniform(-0.1, 0.1, 2), rng.uniform(0.6, 1.0), *rng.uniform(-40, 40, 2),
-                rng.uniform(-180, 180))
-
-
-def polygon_area(points: np.ndarray) -> float:
-    """Compute the area of a simple polygon by the shoelace formula."""
-    following = np.roll(points, -1, axis=0)
-    return 0.5 * abs(np.sum(points[:, 0] * following[:, 1] - points[:, 1] * following[:, 0]))
-
-
-def test_coverage_of_random_polygons_has_their_area_and_centroid():
-    rng = np.random.default_rng(3)
-    for _ in range(100):
-        angles = np.sort(rng.uniform(0.0, 2.0 * np.pi, rng.integers(3, 9)))
-        if np.diff(angles, append=angles[0] + 2.0 * np.pi).max() > 3.0:
-            continue
-        polygon = rng.uniform(20, 30, 2) + rng.uniform(3, 18) * np.column_stack(
-            [np.cos(angles), np.sin(angles)])
-        share = polygon_coverage(polygon, Region(0, 0, 60, 60))
-        assert share.sum() == pytest.approx(polygon_area(polygon), abs=1e-9)
-        assert share.min() >= 0.0 and share.max() <= 1.0
-
-
-def test_coverage_of_a_rectangle_is_what_paper_and_pencil_say():
-    share = polygon_coverage(np.array([[0.75, 1.0], [2.5, 1.0], [2.5, 1.75], [0.75, 1.75]]),
-                             Region(0, 0, 4, 3))
-    # Pixels reach half a pixel around their centres: columns 1 and 2, rows 1 and 2.
-    assert share[1] == pytest.approx([0.0, 0.75 * 0.5, 1.0 * 0.5, 0.0])
-    assert share[2] == pytest.approx([0.0, 0.75 * 0.25, 1.0 * 0.25, 0.0])
-    assert share[0] == pytest.approx(0.0)
-
-
-@pytest.mark.parametrize('sense', [1, -1])
-@pytest.mark.parametrize('region', [Region(5, 7, 20, 20), Region(20, 0, 30, 40)])
-def test_coverage_does_not_depend_on_sense_or_window(sense, region):
-    polygon = np.array([[3.2, 4.1], [40.7, 9.3], [31.0, 35.5], [-6.0, 20.0]])[::sense]
-    whole = polygon_coverage(polygon, Region(0, 0, 60, 60))
-    assert polygon_coverage(polygon, region) == pytest.approx(whole[region.slices], abs=1e-12)
+from scene_views import BENT
+from scene_views import CAMERA
+from scene_views import CLEAN
+from scene_views import FACE_M
+from scene_views import pose
+from scene_views import random_pose
 
 
 def edge_offset_px(image: np.ndarray, first: np.ndarray, second: np.ndarray) -> float:
@@ -175,34 +119,3 @@ def test_a_pose_behind_or_outside_shows_the_background():
         assert np.isfinite(picture).all()
         if away[2, 3] != 0.001:
             assert np.array_equal(picture, background)
-
-
-def test_bound_grows_with_noise_and_shrinks_with_contrast():
-    camera_from_object = pose(0.02, 0.01, 0.75, 10.0, 5.0, 20.0)
-    scene = Scene(CAMERA, FACE_M, 0.0, SceneSettings(noise_grey=5.0))
-    bound = corner_bound(scene, camera_from_object)
-    assert np.linalg.eigvalsh(bound).min() > 0.0
-    twice = corner_bound(scene, camera_from_object, noise_grey=10.0)
-    assert np.trace(twice) / np.trace(bound) == pytest.approx(4.0, rel=0.01)
-    faint = Scene(CAMERA, FACE_M, 0.0, SceneSettings(noise_grey=5.0, face_level=137.5))
-    assert np.trace(corner_bound(faint, camera_from_object)) / np.trace(bound) == pytest.approx(
-        4.0, rel=0.01)
-
-
-@pytest.mark.parametrize('camera', [CAMERA, BENT], ids=['straight', 'bent'])
-def test_bound_is_what_a_best_linear_fit_reaches(camera):
-    """A maximum-likelihood fit of the corners, linear in so small noise, meets the bound."""
-    camera_from_object = pose(0.04, -0.02, 0.75, 15.0, -10.0, 25.0)
-    scene = Scene(camera, FACE_M, 0.04, SceneSettings(noise_grey=5.0))
-    bound = corner_bound(scene, camera_from_object)
-    side_px = np.linalg.norm(np.diff(scene.corners(camera_from_object), axis=0), axis=1).mean()
-    sigma_px = np.sqrt(np.trace(bound) / 8.0)
-    # A line of L pixels with contrast C and noise s is known to about s / C sqrt(12 / L).
-    rough_px = 5.0 / 125.0 * np.sqrt(12.0 / side_px)
-    assert 0.3 * rough_px < sigma_px < 3.0 * rough_px
-
-
-def test_a_face_that_is_cut_has_no_bound():
-    scene = Scene(CAMERA, FACE_M)
-    assert isinstance(corner_bound(scene, pose(x=0.3)), Rejected)
-    assert isinstance(corner_bound(scene, pose(turn=0.0, tilt_x=180.0)), Rejected)
