@@ -167,7 +167,8 @@ def pose_msg(a_from_b: np.ndarray) -> Pose:
     """Make a pose message of a (4, 4) transform."""
     pose = Pose()
     pose.position.x, pose.position.y, pose.position.z = (float(v) for v in a_from_b[:3, 3])
-    quaternion = Rotation.from_matrix(a_from_b[:3, :3]).as_quat()
+    # A copy, because scipy 1.11 refuses arrays that may not be written.
+    quaternion = Rotation.from_matrix(np.array(a_from_b[:3, :3])).as_quat()
     q = pose.orientation
     q.x, q.y, q.z, q.w = (float(v) for v in quaternion)
     return pose
