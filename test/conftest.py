@@ -7,13 +7,16 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 HAS_ROS = importlib.util.find_spec('rclpy') is not None
-if not HAS_ROS:
-    collect_ignore_glob = ['nodes/test_*.py', 'launch/test_config.py']
+HAS_ROSBAGS = importlib.util.find_spec('rosbags') is not None
+collect_ignore_glob = [] if HAS_ROS else ['nodes/test_*.py', 'launch/test_config.py']
+collect_ignore_glob += [] if HAS_ROSBAGS else ['experiments/test_bag.py', 'nodes/test_recorder.py']
 
 
 def pytest_report_header() -> str:
-    """Say when the tests that need ROS are left out."""
-    return '' if HAS_ROS else 'rclpy is not installed: tests of nodes and launch are left out'
+    """Say when tests are left out because what they need is not installed."""
+    missing = [] if HAS_ROS else ['rclpy is not installed: tests of nodes and launch are left out']
+    missing += [] if HAS_ROSBAGS else ['rosbags is not installed: tests of bags are left out']
+    return '; '.join(missing)
 
 
 @pytest.fixture

@@ -48,7 +48,8 @@ ALSO_RECORDED = (  # not needed for the report, but for looking at what happened
     ('path/markers', MarkerArray, LATCHED),
     ('robot_description', String, LATCHED),
 )
-LAST_WORD_S = 2.0
+LAST_WORD_S, SETTLE_S = 2.0, 0.2
+LONGEST_WAIT_NS = 10**10
 _WORD = ENDED.encode()
 
 
@@ -84,11 +85,18 @@ class Recorder:
         self._thread.start()
 
     def _spin(self) -> None:
-        while not self._closing.is_set():
-            self._executor.spin_once(timeout_sec=0.1)
+        until_s = float('inf')
+        while time.monotonic() < until_s:
+            self._executor.spin_once(timeout_sec=0.05)
+            if self._closing.is_set() and until_s == float('inf'):
+                until_s = time.monotonic() + SETTLE_S  # for what has come already
 
-    def _take(self, topic: str, kind: type, qos: QoSProfile, data: bytes) -> None:
-        time_ns = self._offset_ns + time.monotonic_ns()
+    def _take(self, topic: str, kind: type, qos: QoSProfile, data: bytes,
+              info: dict[str, int]) -> None:
+        # Messages of different topics that came before we looked keep their order.
+        waited_ns = time.time_ns() - info['received_timestamp']
+        time_ns = self._offset_ns + time.monotonic_ns() \
+            - (waited_ns if 0 <= waited_ns < LONGEST_WAIT_NS else 0)
         channel = self._channels.get(topic)
         if channel is None:
             channel = self._channels[topic] = self._channel(topic, kind, qos)
@@ -138,4 +146,3 @@ def recorded_qos(profile: QoSProfile, depth: int) -> Qos:
 
 def _qos_time(duration: Any) -> QosTime:
     return QosTime(*divmod(int(duration.nanoseconds), 10**9))
-
