@@ -9,6 +9,7 @@ from homography_servo.result import Rejected
 from homography_servo.tracking.edges import Edges
 from homography_servo.tracking.edges import middle
 from homography_servo.tracking.face_pose import FacePose
+from homography_servo.tracking.face_pose import next_pose
 from homography_servo.tracking.face_pose import pose_of_face
 from homography_servo.tracking.face_pose import project
 from homography_servo.tracking.face_pose import projection_jacobian
@@ -24,7 +25,6 @@ SURFACE_SIGMA = 0.03  # of a side that is seen well
 WIDTH_SIGMA_PX = 0.25  # of a strip, as the pose predicts it
 CORNER_MARGIN_PX = 2.5  # a corner where a side shows is left out by this
 CLEAR_PX = 1.5  # a side this much wider than the scan lines hides what is behind
-STEADY_STEPS = 2
 
 
 class Outline(NamedTuple):
@@ -81,8 +81,9 @@ class BoxSides:
 
     def outline(self, corners: np.ndarray) -> Outline | Rejected:
         """Find the pose of the face and from it the outline of the box."""
-        pose = pose_of_face(self._front_m, self._plane.rays(corners), self._pose,
-                            STEADY_STEPS if self._pose is not None else 6)
+        rays = self._plane.rays(corners)
+        pose = pose_of_face(self._front_m, rays) if self._pose is None \
+            else next_pose(self._front_m, rays, self._pose)
         if isinstance(pose, Rejected):
             self._pose = None
             return pose

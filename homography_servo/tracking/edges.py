@@ -26,7 +26,7 @@ import numpy as np
 FAR_SIGMAS = 3.0  # far pixels that differ by more than this have another grey level
 FLAT_GREY = 1.0  # and uneven light makes them differ by this much
 MOST_POOLED = 300.0  # pixels that the other segments may stand for
-SQUARE = 0.02  # cosine of a corner that may be taken for a right angle
+SQUARE = 0.08  # cosine of a corner that may be taken for a right angle
 LINEAR_SHARE = 0.85  # of the largest offset that the linear step can show
 
 
@@ -195,61 +195,85 @@ def _levels(sums: Sums, scan: Scan, step: np.ndarray) -> tuple[np.ndarray, ...]:
         the levels are unknown, and mean squared deviation.
 
     """
-    outside, contrast, _ = _two_levels(sums)
+    levels = _two_levels(sums)
     # At the least squares solution the explained part is the product with the data.
-    missed = scan.grey_square - outside * sums.grey - contrast * sums.share_grey
+    missed = scan.grey_square - levels[0] * (sums.grey - sums.share_grey) \
+        - levels[1] * sums.share_grey
     residual = np.maximum(missed, 0.01) / (sums.one - 2.0)
     # Far pixels pin the levels down where they have the same level as the near ones.
     rising = step.take(scan.layout.first_line) > 0.0
-    far_in = np.where(rising, scan.high_sum, scan.low_sum)
-    far_out = scan.high_sum + scan.low_sum - far_in
+    far = np.empty_like(levels)
+    far[1] = np.where(rising, scan.high_sum, scan.low_sum)
+    far[0] = scan.high_sum + scan.low_sum - far[1]
     noise, pixels = middle(residual), FAR_PX * scan.layout.lines
-    count_in, far_in = _alike(far_in / pixels, outside + contrast, sums.share, pixels, noise)
-    count_out, far_out = _alike(far_out / pixels, outside, sums.one - sums.share, pixels, noise)
-    wider = _with_pixels(sums, count_in, far_in, count_out, far_out)
-    outside, contrast, _ = _two_levels(wider)
-    count_in, far_in = _common(outside + contrast, wider.share, noise)
-    count_out, far_out = _common(outside, wider.one - wider.share, noise)
-    return *_two_levels(_with_pixels(wider, count_in, far_in, count_out, far_out)), residual
+    far /= pixels
+    near = np.stack([sums.one - sums.share, sums.share])
+    counted = _alike(far, levels, near, pixels, noise)
+    sums = _with_pixels(sums, counted, far)
+    counted, common = _common(_two_levels(sums), near + counted, noise)
+    sums = _with_pixels(sums, counted, common)
+    outside, inside = _two_levels(sums)
+    return outside, inside - outside, _kept(sums), residual
 
 
-def _with_pixels(sums: Sums, count_in: np.ndarray, grey_in: np.ndarray, count_out: np.ndarray,
-                 grey_out: np.ndarray) -> Sums:
-    """Add pixels of known grey level far inside and far outside."""
-    return sums._replace(one=sums.one + count_out + count_in, share=sums.share + count_in,
-                         share_share=sums.share_share + count_in,
-                         grey=sums.grey + count_out * grey_out + count_in * grey_in,
-                         share_grey=sums.share_grey + count_in * grey_in)
+def _two_levels(sums: Sums) -> np.ndarray:
+    """Solve for the levels (2, s): outside and inside."""
+    one, share = sums.one, sums.share
+    contrast = (one * sums.share_grey - share * sums.grey) / _determinant(sums)
+    levels = np.empty((2, len(share)))
+    np.divide(sums.grey - contrast * share, one, out=levels[0])
+    np.add(levels[0], contrast, out=levels[1])
+    return levels
 
 
-def _alike(far: np.ndarray, near: np.ndarray, near_pixels: np.ndarray, pixels: np.ndarray,
-           noise: float) -> tuple[np.ndarray, np.ndarray]:
-    """Give the pixels that the far ones count for, and their level."""
-    away = np.abs(far - near)
-    expected = noise / middle(pixels) + noise / middle(near_pixels)
-    uneven = max((1.48 * middle(away)) ** 2 - expected, 0.0)
-    alike = away < FAR_SIGMAS * (expected + uneven) ** 0.5
-    return alike * noise / (noise / pixels + uneven), far
+def _determinant(sums: Sums) -> np.ndarray:
+    return np.maximum(sums.one * sums.share_share - sums.share * sums.share, 1e-6)
 
 
-def _common(level: np.ndarray, pixels: np.ndarray, noise: float) -> tuple[np.ndarray, float]:
-    """Give the pixels that a common level stands for in each segment, and that level."""
-    common = middle(level)
-    away = np.abs(level - common)
-    spread = (1.48 * middle(away)) ** 2
-    scatter = max(spread - noise / middle(pixels), 1e-3 * noise)
-    alike = away < FAR_SIGMAS * spread ** 0.5 + FLAT_GREY  # others have a level of their own
-    return alike * min(noise / scatter, MOST_POOLED), common
+def _kept(sums: Sums) -> np.ndarray:
+    """Give the share of the offset's information that unknown levels leave."""
+    slope, slope_share = sums.slope, sums.slope_share
+    taken = slope * (sums.share_share * slope - 2.0 * sums.share * slope_share) \
+        + sums.one * slope_share * slope_share
+    return np.maximum(1.0 - taken / (_determinant(sums) * sums.slope_slope + 1e-9), 0.1)
 
 
-def _two_levels(sums: Sums) -> tuple[np.ndarray, ...]:
-    one, share, slope, slope_share = sums.one, sums.share, sums.slope, sums.slope_share
-    determinant = np.maximum(one * sums.share_share - share * share, 1e-6)
-    contrast = (one * sums.share_grey - share * sums.grey) / determinant
-    taken = (slope * (sums.share_share * slope - 2.0 * share * slope_share)
-             + one * slope_share * slope_share) / determinant
-    kept = np.maximum(1.0 - taken / np.maximum(sums.slope_slope, 1e-9), 0.1)
-    return (sums.grey - contrast * share) / one, contrast, kept
+def _with_pixels(sums: Sums, counted: np.ndarray, grey: np.ndarray) -> Sums:
+    """Add pixels of known grey level (2, s) far outside and far inside."""
+    more = counted * grey
+    return Sums(sums.one + counted[0] + counted[1], sums.grey + more[0] + more[1],
+                sums.share + counted[1], sums.share_share + counted[1],
+                sums.share_grey + more[1], *sums[5:])
+
+
+def _alike(far: np.ndarray, levels: np.ndarray, near: np.ndarray, pixels: np.ndarray,
+           noise: float) -> np.ndarray:
+    """Give the pixels that the far ones count for, outside and inside (2, s)."""
+    away = np.abs(far - levels)
+    expected = noise / middle(pixels) + noise / middles(near)
+    uneven = np.maximum((1.48 * middles(away)) ** 2 - expected, 0.0)
+    alike = away < FAR_SIGMAS * np.sqrt(expected + uneven)
+    return alike * noise / (noise / pixels + uneven)
+
+
+def _common(levels: np.ndarray, pixels: np.ndarray,
+            noise: float) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Let segments learn the grey levels from each other as far as they are alike.
+
+    Returns
+    -------
+    (2, s) array, (2, 1) array
+        How many pixels the common levels outside and inside stand for in each segment,
+        and these levels.
+
+    """
+    common = middles(levels)
+    away = np.abs(levels - common)
+    spread = 1.48 * middles(away)
+    scatter = np.maximum(spread * spread - noise / middles(pixels), 1e-3 * noise)
+    alike = away < FAR_SIGMAS * spread + FLAT_GREY  # others have a level of their own
+    return alike * np.minimum(noise / scatter, MOST_POOLED), common
 
 
 def _straightened(step: np.ndarray, sigma_px: float) -> np.ndarray:
@@ -289,5 +313,13 @@ def _second(scan: Scan, back, share: np.ndarray, slope: np.ndarray, outside: np.
 
 def middle(values: np.ndarray) -> float:
     """Give the median of a short array, quickly."""
-    half = len(values) // 2
-    return float(np.partition(values, half)[half])
+    half, ordered = len(values) // 2, values.copy()
+    ordered.partition(half)
+    return float(ordered[half])
+
+
+def middles(values: np.ndarray) -> np.ndarray:
+    """Give the medians of the rows (r, s) as a column (r, 1), quickly."""
+    half, ordered = values.shape[1] // 2, values.copy()
+    ordered.partition(half, axis=1)
+    return ordered[:, half:half + 1]

@@ -77,28 +77,59 @@ def projection_jacobian(points_m: np.ndarray, rotation: np.ndarray,
         Columns rx, ry, rz, x, y, z.
 
     """
-    turned = points_m @ rotation.T
+    return _jacobian(points_m @ rotation.T, translation)[1]
+
+
+def _jacobian(turned: np.ndarray, translation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Project turned points (N, 3); give rays (N, 2) and their derivative (N, 2, 6)."""
     points = turned + translation
     inverse = 1.0 / points[:, 2]
-    x, y = points[:, 0] * inverse, points[:, 1] * inverse
+    rays = points[:, :2] * inverse[:, None]
+    x, y = rays.T
     a, b, c = turned.T * inverse
-    zero = np.zeros_like(x)
-    return np.stack([
-        np.stack([-x * b, c + x * a, -b, inverse, zero, -x * inverse], axis=1),
-        np.stack([-c - y * b, y * a, a, zero, inverse, -y * inverse], axis=1)], axis=1)
+    out = np.zeros((len(x), 2, 6))
+    out[:, 0, 0], out[:, 0, 1], out[:, 0, 2] = -x * b, c + x * a, -b
+    out[:, 1, 0], out[:, 1, 1], out[:, 1, 2] = -c - y * b, y * a, a
+    out[:, 0, 3] = out[:, 1, 4] = inverse
+    out[:, 0, 5], out[:, 1, 5] = -x * inverse, -y * inverse
+    return rays, out
+
+
+def next_pose(points_m: np.ndarray, rays: np.ndarray, near: FacePose) -> FacePose | Rejected:
+    """
+    Take one step to the pose of points that were close to another pose just before.
+
+    Returns
+    -------
+    FacePose or Rejected
+        The pose; what its projection misses is right to first order.
+
+    """
+    predicted, slope = _jacobian(points_m @ near.rotation.T, near.translation)
+    slope, miss = slope.reshape(-1, 6), (rays - predicted).reshape(-1, 1)
+    solved, step = cv2.solve(slope.T @ slope, slope.T @ miss, flags=cv2.DECOMP_CHOLESKY)
+    if not solved:
+        return Rejected('the pose of the face is not determined')
+    left = (miss - slope @ step).reshape(-1, 2)
+    step = step[:, 0]
+    return FacePose(_turned(near.rotation, step[:3]), near.translation + step[3:], left)
 
 
 def _linearise(points_m: np.ndarray, rays: np.ndarray, rotation: np.ndarray,
                translation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    miss = rays - project(points_m, rotation, translation)
-    return miss, projection_jacobian(points_m, rotation, translation).reshape(-1, 6)
+    predicted, slope = _jacobian(points_m @ rotation.T, translation)
+    return rays - predicted, slope.reshape(-1, 6)
 
 
 def _turned(rotation: np.ndarray, small: np.ndarray) -> np.ndarray:
     """Turn by a small rotation vector (Cayley's formula: stays a rotation)."""
-    x, y, z = 0.5 * small
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.linalg.solve(np.eye(3) - cross, np.eye(3) + cross) @ rotation
+    x, y, z = (0.5 * small).tolist()
+    xx, yy, zz, one = x * x, y * y, z * z, 1.0 + x * x + y * y + z * z
+    cayley = np.array([
+        [1.0 + xx - yy - zz, 2.0 * (x * y - z), 2.0 * (x * z + y)],
+        [2.0 * (x * y + z), 1.0 - xx + yy - zz, 2.0 * (y * z - x)],
+        [2.0 * (x * z - y), 2.0 * (y * z + x), 1.0 - xx - yy + zz]])
+    return (cayley / one) @ rotation
 
 
 def _from_homography(points_m: np.ndarray, rays: np.ndarray) -> FacePose | Rejected:

@@ -29,7 +29,6 @@ from homography_servo.tracking.quads import side_contrast
 from homography_servo.tracking.snake import fit_snake
 from homography_servo.tracking.snake import Look
 from homography_servo.tracking.snake import Quality
-from homography_servo.tracking.snake import quality_of
 from homography_servo.tracking.snake import SnakeFit
 import numpy as np
 
@@ -43,7 +42,7 @@ EVEN_GREY = 12.0  # differences that a face of one colour may show
 SAME_PX = 5.0
 AWAY_PX = 4.0  # distance from a side at which grey levels are compared
 STRIP_SAMPLES = np.linspace(0.15, 0.85, 7)
-WIDE = Look(1.5, 7, 3, 3, 3, 0.4, 0.5, 1.5)
+WIDE = Look(1.5, 7, 3, 3, 3, 3.0, 0.5, 1.5)
 
 
 class Target(NamedTuple):
@@ -173,7 +172,7 @@ def examine(image: np.ndarray, quad: np.ndarray, target: Target, plane: Plane,
     fit = fit_snake(image, fit.corners, Look(target.blur_px, 5), plane, None, target.polarity)
     if isinstance(fit, Rejected):
         return fit
-    quality = quality_of(fit)
+    quality = fit.quality
     if quality.inlier_share < 0.6 or quality.side_share.min() < 0.25:
         return Rejected('the edges do not support the quadrilateral')
     pose, miss_px, turns = best_pose(fit.corners, target.face_size_m, plane)

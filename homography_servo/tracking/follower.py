@@ -5,6 +5,7 @@ from __future__ import annotations
 from homography_servo.geometry.face import face_corners
 from homography_servo.result import Rejected
 from homography_servo.tracking.box import BoxSides
+from homography_servo.tracking.face_pose import next_pose
 from homography_servo.tracking.face_pose import pose_of_face
 from homography_servo.tracking.focus import first_focus
 from homography_servo.tracking.focus import refocus
@@ -18,13 +19,12 @@ from homography_servo.tracking.snake import fit_snake
 from homography_servo.tracking.snake import INLIER_WEIGHT
 from homography_servo.tracking.snake import Look
 from homography_servo.tracking.snake import Prior
-from homography_servo.tracking.snake import quality_of
 from homography_servo.tracking.snake import SnakeFit
 from homography_servo.tracking.tracker_settings import POLARITIES
 from homography_servo.tracking.tracker_settings import TrackerSettings
 import numpy as np
 
-WIDE = (Look(4.0, 12, 3, 3, 3, 0.5, 1.0, 2.0), Look(2.0, 8, 3, 3, 3, 0.3, 0.5, 1.0))
+WIDE = (Look(4.0, 12, 3, 3, 3, 2.0, 1.0, 2.0), Look(2.0, 8, 3, 3, 3, 2.0, 0.5, 1.0))
 MEDIUM = WIDE[1:]
 SEEN_SIDE = 0.3  # share of its lines that makes a side seen
 SIDES_NEEDED = 3
@@ -32,7 +32,6 @@ GIVEN_SHAPE_SIGMA_PX = 4.0
 OTHER_SIZE = 0.25  # relative change of size from one picture to the next
 FOCUS_HALF = 8  # pixels around the edges for a first look at the blur
 SETTLED_PX = 0.5  # largest last step of a fit that has found its place
-FIRST_STEPS, NEXT_STEPS = 6, 2  # of the pose
 REFOCUS_EVERY, REFOCUS_FIRST = 10, 10  # pictures
 REMEMBER_EVERY = 3
 
@@ -183,7 +182,7 @@ class Follower:
 
     def _doubt(self, fit: SnakeFit, prior: Prior) -> str:
         """Give the reason not to trust a fit, or nothing."""
-        settings, quality = self.settings, quality_of(fit)
+        settings, quality = self.settings, fit.quality
         if abs(quality.contrast) < settings.min_contrast:
             return f'the contrast of the edges is {quality.contrast:.0f} grey levels'
         if quality.inlier_share < settings.min_inlier_share:
@@ -201,8 +200,9 @@ class Follower:
         """Check that the corners are the projection of the rectangle."""
         if self._plane.camera is None:
             return ''
-        pose = pose_of_face(self._points_m, self._plane.rays(fit.corners), self._pose,
-                            FIRST_STEPS if self._pose is None else NEXT_STEPS)
+        rays = self._plane.rays(fit.corners)
+        pose = pose_of_face(self._points_m, rays) if self._pose is None \
+            else next_pose(self._points_m, rays, self._pose)
         if isinstance(pose, Rejected):
             self._pose = None
             return pose.reason

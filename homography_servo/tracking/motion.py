@@ -57,10 +57,12 @@ def shape_prior(corners: np.ndarray, shape_sigma_px: float) -> Prior:
 
 def similarity_basis(corners: np.ndarray) -> np.ndarray:
     """Give orthonormal columns (2m, 4) of common shift, turn and scale."""
-    away = corners - corners.mean(axis=0)
-    length = np.sqrt((away ** 2).sum())
-    basis = np.zeros((*corners.shape, 4))
-    basis[:, 0, 0] = basis[:, 1, 1] = len(corners) ** -0.5
-    basis[:, :, 2] = away / length
-    basis[:, 0, 3], basis[:, 1, 3] = -away[:, 1] / length, away[:, 0] / length
+    count = len(corners)
+    away = corners - corners.sum(axis=0) / count
+    flat = away.ravel()
+    away = away / (flat @ flat) ** 0.5
+    basis = np.zeros((count, 2, 4))
+    basis[:, 0, 0] = basis[:, 1, 1] = count ** -0.5
+    basis[:, :, 2] = away
+    basis[:, 0, 3], basis[:, 1, 3] = -away[:, 1], away[:, 0]
     return basis.reshape(corners.size, 4)

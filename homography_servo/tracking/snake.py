@@ -39,7 +39,7 @@ class Look(NamedTuple):
     stride: int = 1  # distance of the scan lines [px]
     lines: int = 6  # scan lines per segment
     iterations: int = 4  # linear steps at most
-    done_px: float = 0.1  # a smaller step is the last one
+    done_sigmas: float = 6.0  # a step smaller than so many corner sigmas is the last one
     sure_px: float = 0.15  # scatter between segments that is not surprising
     first_sure_px: float = 0.6  # the same in the first round
 
@@ -65,6 +65,7 @@ class SnakeFit(NamedTuple):
     miss: np.ndarray  # (s,) distance of the segments from the shape [px]
     step: np.ndarray  # (2m,) last move of the corners
     moved_px: float  # its largest component
+    quality: Quality | None = None
     scan: Scan | None = None  # the pixels it was fitted to
     strips: Strips | None = None  # the sides of the box that were expected
 
@@ -113,11 +114,11 @@ def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = I
         if not sound(fit.corners):
             return Rejected('the polygon folded')
         corners, far_px = fit.corners, far_px + fit.moved_px
-        if fit.moved_px < look.done_px:
+        if fit.moved_px < look.done_sigmas * (np.trace(fit.covariance) / corners.size) ** 0.5:
             break
         if strips is not None:
             strips = strips._replace(width=strips.width + strips.rows @ fit.step)
-    return fit._replace(scan=scan, strips=strips)
+    return fit._replace(quality=quality_of(fit), scan=scan, strips=strips)
 
 
 def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Prior | None,

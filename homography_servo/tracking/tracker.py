@@ -12,7 +12,6 @@ from homography_servo.tracking.follower import Follower
 from homography_servo.tracking.motion import shape_prior
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.snake import Quality
-from homography_servo.tracking.snake import quality_of
 from homography_servo.tracking.snake import SnakeFit
 from homography_servo.tracking.spline import ClosedSpline
 from homography_servo.tracking.tracker_settings import POLARITIES
@@ -192,14 +191,14 @@ class Tracker:
         self._confirmed += 1
         self._missed, self._good_s = 0, stamp_s
         if self._confirmed < self._settings.confirming_frames:
-            return Track(self._state, None, None, None, quality_of(fit),
+            return Track(self._state, None, None, None, fit.quality,
                          'found, not yet confirmed')
         self._state = TRACKING
         contour = self._spline.curve(self._spline.control(fit.corners))
         self._last_px = self._plane.to_image(fit.corners)
         return Track(TRACKING, self._last_px,
                      self._plane.covariance_to_image(fit.corners, fit.covariance),
-                     self._plane.to_image(contour), quality_of(fit), '')
+                     self._plane.to_image(contour), fit.quality, '')
 
     def _missing(self, why: Rejected, stamp_s: float) -> Track:
         self._missed += 1
