@@ -190,16 +190,16 @@ class VisualServo(NodeKit, Node):
         trouble = self._servo.watch.trouble(time.monotonic(), self._servo.settings)
         if trouble:
             return Rejected(trouble)
-        settings = self._parameters[CalibrationRunSettings]
+        settings = self._settings[CalibrationRunSettings]
         postures = calibration_poses(
             self._robot, self._camera, settings.calibration_postures,
             start_rad=self._servo.watch.joints.latest_rad,
-            settings=self._parameters[CalibrationPoseSettings])
+            settings=self._settings[CalibrationPoseSettings])
         if isinstance(postures, Rejected):
             return postures
         self._calibration = CalibrationRun(
             self._robot, self._camera, postures, self._servo.watch, self._servo.settings,
-            settings, self._parameters[CalibrationSettings])
+            settings, self._settings[CalibrationSettings])
         self._tick()
         return None
 
@@ -211,7 +211,7 @@ class VisualServo(NodeKit, Node):
         if isinstance(result, Rejected):
             self._calibrate.answer(False, result.reason)
             return
-        sentence, file = result.sentence, self._parameters[CalibrationRunSettings].calibration_file
+        sentence, file = result.sentence, self._settings[CalibrationRunSettings].calibration_file
         if file:
             try:
                 save_robot(file, result.robot, f'Calibrated: {sentence}.')
