@@ -145,7 +145,7 @@ def adjoint(a_from_b: np.ndarray) -> np.ndarray:
 
 def rotation_log(rotation: np.ndarray) -> np.ndarray:
     """Give the rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3)."""
-    rotation = np.asarray(rotation, float)
+    rotation = np.array(rotation, float)  # a copy: scipy 1.11 refuses what may not be written
     if rotation.shape[-2:] != (3, 3) or not np.isfinite(rotation).all():
         raise ValueError('rotation must be finite and have shape (..., 3, 3), got '
                          f'{rotation.shape}{"" if np.isfinite(rotation).all() else " with nan"}')
