@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import sys
 import time
 
 from homography_servo.errors import ConfigError
@@ -336,4 +337,6 @@ class RobixBridge(NodeKit, LifecycleNode):
 
 def main(args=None) -> int:
     """Run the node."""
+    # The thread of the port must not wait 5 ms for the one that takes messages.
+    sys.setswitchinterval(0.0005)
     return run_node(RobixBridge, args)

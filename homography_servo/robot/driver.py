@@ -226,7 +226,8 @@ class ArmDriver:
         with self._lock:
             if not self._ready:
                 return Rejected('not connected')
-            self._forget_motion()
+            if not on:
+                self._forget_motion()
             self.link.request('!power on' if on else '!power off')
             self._powered = on
             return None
@@ -377,9 +378,8 @@ class ArmDriver:
                 self._set_up(event)
             elif isinstance(event, Down):
                 self._lost(event.reason)
-            elif isinstance(event, Notice):
-                self._latch = self._latch or _CRIES[event.name]
-                self._forget_motion()
+            elif isinstance(event, Notice) and event.name in _CRIES:
+                self._stop_if('' if self._latch else _CRIES[event.name])
             elif isinstance(event, Over):
                 self._stop_if(self._mover.over(event.seq, event.how))
                 self._next_position_s = 0.0  # where is it now?

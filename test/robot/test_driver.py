@@ -319,6 +319,14 @@ def test_power_off_ends_a_motion_and_refuses_others(rig):
     assert rig.state == 'IDLE' and rig.go([0.0] * 6) is None
 
 
+def test_power_on_while_it_moves_changes_nothing(rig):
+    moving(rig)
+    rig.driver.power(True)
+    rig.run(5.0)
+    assert rig.arm.positions == pytest.approx([-0.8] * 6, abs=HALF_UNIT)
+    assert Judge().watch(rig.log).violations == []
+
+
 def test_a_farewell_stops_a_moving_arm_and_leaves_a_resting_one_unlatched(rig):
     rig.driver.quit(rig.now_s)
     rig.device.step(rig.now_s + 10.0)

@@ -11,8 +11,8 @@ from link_setup import ROBOT
 import numpy as np
 import pytest
 
-DIRECT = int(os.environ.get('HOSTILE_DIRECT', 20_000))
-OFFERED = 1_000_000 - min(DIRECT, 1_000_000)
+DIRECT = int(os.environ.get('HOSTILE_DIRECT', 15_000))
+OFFERED = 1_000_000 - min(2 * DIRECT, 1_000_000)
 LOWER, UPPER = ROBOT.lower_rad + 0.05, ROBOT.upper_rad - 0.05
 BAD_NUMBERS = [math.nan, math.inf, -math.inf, 1e9, -1e9, 1e300, 5e-324, -0.0]
 
@@ -95,9 +95,10 @@ def mischief(rig, rng):
         rig.driver.power(True)
 
 
-@pytest.mark.parametrize('count, burst, offered', [(DIRECT, 8, False), (OFFERED, 100, True)])
-def test_nothing_unsafe_reaches_the_wire(count, burst, offered):
-    rng = np.random.default_rng(2024 + burst)
+@pytest.mark.parametrize('seed, count, burst, offered', [
+    (1, DIRECT, 8, False), (2, DIRECT, 3, False), (3, OFFERED, 100, True)])
+def test_nothing_unsafe_reaches_the_wire(seed, count, burst, offered):
+    rng = np.random.default_rng(seed)
     rig, judge, done = Rig(), Judge(), 0
     pool = [(names(rng), points(rng)) for _ in range(4000)]
     picks = rng.integers(len(pool), size=count)
