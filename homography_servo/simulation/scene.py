@@ -65,11 +65,14 @@ class Scene:
         Appearance.
     seed : int
         Decides clutter, print and noise.
+    noise : NoiseStore, optional
+        Noise shared with other scenes of the same size; saves its making.
 
     """
 
     def __init__(self, camera: Camera, face_size_m: tuple[float, float], box_height_m: float = 0.0,
-                 settings: SceneSettings = SceneSettings(), seed: int = 0) -> None:
+                 settings: SceneSettings = SceneSettings(), seed: int = 0,
+                 noise: surfaces.NoiseStore | None = None) -> None:
         self.camera = camera
         self.settings = settings
         self.box = BoxView(camera, face_size_m, box_height_m)
@@ -80,7 +83,7 @@ class Scene:
         self._still = self._lit(self._blurred(self._raw), self._whole)
         self._print = FacePrint(camera, face_size_m, settings, rngs[1]) \
             if settings.print_contrast > 0.0 else None
-        self._noise = surfaces.NoiseStore(camera.width, camera.height, rngs[2])
+        self._noise = noise or surfaces.NoiseStore(camera.width, camera.height, rngs[2])
 
     @property
     def _whole(self) -> Region:

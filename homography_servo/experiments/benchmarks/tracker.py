@@ -4,12 +4,14 @@ The tracker and its peers on rendered sequences with exact truth.
 ``corner_rms_px`` is the RMS distance of a corner from its true place; ``over_bound``
 divides it by the Cramer-Rao bound of the same pictures. A frame is lost when no
 corners come out, a wrong lock when corners come out that are more than 5 px off.
-While a corner is hidden only the others count in the error.
+While a corner is hidden only the others count in the error. ``time`` is by the clock,
+``cpu`` is what the method itself used; pictures are rendered beforehand.
 """
 
 from __future__ import annotations
 
-import time
+import os
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -18,84 +20,37 @@ from homography_servo.experiments.tracker_cases import Case
 from homography_servo.experiments.tracker_cases import CASES
 from homography_servo.experiments.tracker_cases import FACE_M
 from homography_servo.experiments.tracker_cases import random_view
+from homography_servo.experiments.tracker_cases import RATE_HZ
 from homography_servo.experiments.tracker_peers import OURS
 from homography_servo.experiments.tracker_peers import PEERS
+from homography_servo.experiments.tracker_score import Answer
+from homography_servo.experiments.tracker_score import ask
+from homography_servo.experiments.tracker_score import score
+from homography_servo.experiments.tracker_score import time_columns
+from homography_servo.experiments.tracker_score import vanishing
 from homography_servo.result import Rejected
 from homography_servo.simulation.bound import corner_bound
 from homography_servo.simulation.scene import Scene
 from homography_servo.simulation.scene_settings import SceneSettings
-from homography_servo.tracking.tracker import COASTING
-from homography_servo.tracking.tracker import LOST
+from homography_servo.simulation.surfaces import NoiseStore
+from homography_servo.tracking.tracker import Track
 from homography_servo.tracking.tracker import Tracker
 from homography_servo.tracking.tracker_settings import TrackerSettings
 import numpy as np
 
-WRONG_PX = 5.0
 FOUND_PX = 3.0
-BOUND_EVERY = 10
+BOUND_EVERY = 5
 FRAMES, FRAMES_QUICK = 240, 90
 VIEWS, VIEWS_QUICK = 1000, 60
-SLOW = {'skimage active_contour': ('plain noise 5', 'box')}  # tens of ms per frame: few cases
-
-
-class Score:
-    """What one method did in one sequence."""
-
-    def __init__(self, case: Case) -> None:
-        self._case = case
-        self.errors: list[np.ndarray] = []  # (4, 2), nan where a corner does not count
-        self.times_s: list[float] = []
-        self.lost = 0
-        self.wrong = 0
-        self.states: list[tuple[float, bool, str]] = []
-
-    def add(self, index: int, time_s: float, truth: np.ndarray | None,
-            corners_px: np.ndarray | None, spent_s: float, state: str) -> None:
-        """Judge one frame."""
-        self.times_s.append(spent_s)
-        self.states.append((time_s, truth is not None, state))
-        if corners_px is None:
-            self.lost += truth is not None
-            return
-        if truth is None:
-            self.wrong += 1
-            return
-        error = corners_px - truth
-        if self._case.hidden(index):
-            error[list(self._case.hidden_corners)] = np.nan
-        self.wrong += bool(np.nanmax(np.linalg.norm(error, axis=1)) > WRONG_PX)
-        self.errors.append(error)
-
-    def row(self, method: str, bound_px: float) -> dict[str, Any]:
-        """Sum up."""
-        row: dict[str, Any] = {'method': method, 'case': self._case.name}
-        if self.errors:
-            errors = np.array(self.errors)
-            distance = np.linalg.norm(errors, axis=2)
-            rms_px = float(np.sqrt(np.nanmean(distance ** 2)))
-            row.update(corner_rms_px=rms_px, corner_max_px=float(np.nanmax(distance)),
-                       corner_rms_over_bound=rms_px / bound_px,
-                       bias_px=float(np.abs(np.nanmean(errors, axis=0)).max()))
-        times_ms = 1e3 * np.array(self.times_s)
-        row.update(frames_lost=self.lost, wrong_locks=self.wrong, frames=len(times_ms),
-                   time_ms_median=float(np.median(times_ms)),
-                   time_ms_p99=float(np.percentile(times_ms, 99)))
-        return row
-
-    def vanishing(self) -> dict[str, float]:
-        """Tell how long after the box went it was given up, by frame times."""
-        gone_s = next(time_s for time_s, there, _ in self.states if not there)
-        after = [(time_s - gone_s, state) for time_s, _, state in self.states
-                 if time_s >= gone_s]
-        lost_s = next((since_s for since_s, state in after if state == LOST), np.nan)
-        return {'coasting_at_once': float(after[0][1] == COASTING), 'lost_after_ms': 1e3 * lost_s}
+LONG_RUN, LONG_RUN_QUICK = 10000, 1000
+SLOW = {'skimage active_contour': ('plain noise 5', 'box')}  # the quick run leaves out the rest
 
 
 def case_bound_px(case: Case, frames: int, seed: int) -> float:
     """Give the RMS over frames and corners of the bound of a corner's distance."""
     scene, squares = case.make_scene(seed), []
     for index in range(0, frames, BOUND_EVERY):
-        time_s = index / 30.0
+        time_s = index / RATE_HZ
         if case.hidden(index):
             continue
         bound = corner_bound(scene, case.motion.pose(time_s), time_s)
@@ -104,48 +59,85 @@ def case_bound_px(case: Case, frames: int, seed: int) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def run_case(case: Case, frames: int, seed: int) -> list[dict[str, Any]]:
-    """Run all methods over the same pictures."""
-    methods: dict[str, Any] = {}
-    scores = {name: Score(case) for name in PEERS if case.name in SLOW.get(name, (case.name,))}
-    for index, time_s, _, frame in case.frames(frames, seed):
-        if not methods:
-            methods = {name: PEERS[name](frame.true_corners_px, frame.image_grey, case.camera,
-                                         FACE_M, case.height_m) for name in scores}
-        for name, method in methods.items():
-            began_s = time.perf_counter()
-            corners_px = method.update(frame.image_grey, time_s)
-            spent_s = time.perf_counter() - began_s
-            scores[name].add(index, time_s, frame.true_corners_px, corners_px, spent_s,
-                             getattr(method, 'state', ''))
-    bound_px = case_bound_px(case, frames, seed)
-    rows = [score.row(name, bound_px) for name, score in scores.items()]
-    if case.name == 'vanish':
-        rows[0].update(scores[OURS].vanishing())
+def run_case(case: Case, frames: int, seed: int, quick: bool) -> list[dict[str, Any]]:
+    """Run all methods over the same pictures, one method after the other."""
+    shown = list(case.frames(frames, seed))
+    times_s, pictures = [item[1] for item in shown], [item[3] for item in shown]
+    bound_px, rows = case_bound_px(case, frames, seed), []
+    for name, peer in PEERS.items():
+        if quick and case.name not in SLOW.get(name, (case.name,)):
+            continue
+        method = peer(pictures[0].true_corners_px, pictures[0].image_grey, case.camera, FACE_M,
+                      case.height_m)
+        answers = [ask(method, frame.image_grey, time_s)
+                   for frame, time_s in zip(pictures, times_s)]
+        rows.append(score(name, case, pictures, answers, bound_px))
+        if case.name == 'vanish' and name == OURS:
+            rows[-1].update(vanishing(pictures, times_s, answers))
     return rows
+
+
+def run_long(count: int, seed: int) -> dict[str, Any]:
+    """Show the same short sequence forth and back for long: nothing may grow."""
+    case = next(case for case in CASES if case.name == 'plain noise 5')
+    frames = [frame for *_, frame in case.frames(120, seed)]
+    tour = [*frames, *frames[-2:0:-1]]
+    method = PEERS[OURS](frames[0].true_corners_px, frames[0].image_grey, CAMERA, FACE_M, 0.0)
+    answers, early_kib = [], 0.0
+    for index in range(count):
+        if index == count // 10:
+            early_kib = _resident_kib()
+        frame = tour[index % len(tour)]
+        answer = ask(method, frame.image_grey, index / RATE_HZ)
+        answers.append(answer._replace(corners_px=None))  # only times are kept
+    tenth = count // 10
+    late, early = (time_columns(part)['cpu_ms_median']
+                   for part in (answers[-tenth:], answers[:tenth]))
+    return {'method': OURS, 'case': 'long run', 'frames': count, **time_columns(answers),
+            'memory_growth_kib': _resident_kib() - early_kib, 'late_over_early_time': late / early}
+
+
+def _resident_kib() -> float:
+    """Give the memory in use; 0 where the system does not tell it this way."""
+    statm = Path('/proc/self/statm')
+    if not statm.exists():
+        return 0.0
+    return int(statm.read_text().split()[1]) * os.sysconf('SC_PAGE_SIZE') / 1024.0
 
 
 def run_finder(views: int, seed: int) -> dict[str, Any]:
     """Look for the face in random cluttered pictures without being told where."""
-    rng, found, times_ms, wrong = np.random.default_rng([seed, 5]), 0, [], 0
-    settings = TrackerSettings(confirming_frames=1)
-    cluttered = SceneSettings(clutter=1.0, noise_grey=3.0)
+    rng, found, wrong, answers = np.random.default_rng([seed, 5]), 0, 0, []
+    noise = NoiseStore(CAMERA.width, CAMERA.height, np.random.default_rng([seed, 6]))
     for view in range(views):
-        scene = Scene(CAMERA, FACE_M, 0.04, cluttered, seed + view)
+        scene = Scene(CAMERA, FACE_M, 0.04, SceneSettings(clutter=1.0, noise_grey=3.0),
+                      seed + view, noise)
         frame = scene.render(random_view(rng), 0.0, view)
-        tracker = Tracker(FACE_M, settings, CAMERA, 0.04)
-        began_s = time.perf_counter()
-        track = tracker.update(frame.image_grey, 0.0)
-        times_ms.append(1e3 * (time.perf_counter() - began_s))
-        if track.corners_px is None:
-            track = tracker.update(frame.image_grey, 1.0 / 30.0)
+        answer, track = _find(frame.image_grey)
+        answers.append(answer)
         if track.corners_px is not None:
             good = _same_face(track.corners_px, frame.true_corners_px)
             found, wrong = found + good, wrong + (not good)
+    times_ms = [1e3 * answer.cpu_s for answer in answers]
     return {'method': OURS, 'case': 'finder, random views with clutter', 'frames': views,
-            'found_share': found / views, 'wrong_locks': wrong,
-            'time_ms_median': float(np.median(times_ms)),
-            'time_ms_p99': float(np.percentile(times_ms, 99)), 'time_ms_max': max(times_ms)}
+            'found_share': found / views, 'wrong_locks': wrong, **time_columns(answers),
+            'cpu_ms_max': max(times_ms)}
+
+
+def _find(image: np.ndarray) -> tuple[Answer, Track]:
+    """Find the face in one picture; what was found must stand a second look."""
+    tracker = Tracker(FACE_M, TrackerSettings(confirming_frames=1), CAMERA, 0.04)
+    tracks: list[Track] = []
+
+    class Finder:
+        def update(self, image: np.ndarray, time_s: float) -> np.ndarray | None:
+            tracks.append(tracker.update(image, time_s))
+            return tracks[-1].corners_px
+
+    answer = ask(Finder(), image, 0.0)
+    if answer.corners_px is None:
+        tracks.append(tracker.update(image, 1.0 / RATE_HZ))
+    return answer, tracks[-1]
 
 
 def _same_face(corners_px: np.ndarray, truth_px: np.ndarray) -> bool:
@@ -155,8 +147,9 @@ def _same_face(corners_px: np.ndarray, truth_px: np.ndarray) -> bool:
 
 
 def run(quick: bool, seed: int) -> list[dict[str, Any]]:
-    """Run every case and the finder."""
+    """Run every case, the long run and the finder."""
     cv2.setNumThreads(1)
     frames, views = (FRAMES_QUICK, VIEWS_QUICK) if quick else (FRAMES, VIEWS)
-    rows = [row for case in CASES for row in run_case(case, frames, seed)]
-    return [*rows, run_finder(views, seed)]
+    rows = [row for case in CASES for row in run_case(case, frames, seed, quick)]
+    return [*rows, run_long(LONG_RUN_QUICK if quick else LONG_RUN, seed),
+            run_finder(views, seed)]
