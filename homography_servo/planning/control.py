@@ -17,8 +17,8 @@ from homography_servo.robot.robot_file import Robot
 import numpy as np
 
 LENGTH_M = 0.1  # 1 rad of rotation weighs as much as this displacement
-SINGULAR = 0.02  # smallest singular value (m and LENGTH_M rad per rad) without damping
-DAMPING = 0.02
+SINGULAR = 0.002  # smallest singular value (m and LENGTH_M rad per rad) without damping
+DAMPING = 0.002  # as small as the limit of the verdict, conditioning_min * LENGTH_M
 MODEL_STEPS = 12
 LARGEST_MODEL_STEP_RAD = 0.3
 

@@ -31,7 +31,7 @@ class FeasibilitySettings(Settings):
         0.02, 0.0, 1.0, '', 'smallest singular value of the object Jacobian, lengths in units '
         'of conditioning_length_m; below it small errors move the arm a lot')
     lead_below: float = real(
-        0.05, 0.0, 1.0, '', 'singular value below which the planned joints lead the servo past '
+        0.12, 0.0, 1.0, '', 'singular value below which the planned joints lead the servo past '
         'a pose, without correction by looks')
     conditioning_length_m: float = real(
         0.1, 0.001, 10.0, 'm', 'length that counts like one radian in the conditioning')
