@@ -1,0 +1,152 @@
+"""Continuous mode: timed inside the limits, converging, holding, never running away."""
+
+import math
+
+from homography_servo.planning.arm_model import ArmModel
+from homography_servo.planning.control import displacement
+from homography_servo.planning.control import errors_of
+from homography_servo.planning.flow import Flow
+from homography_servo.planning.flow import timed
+from homography_servo.planning.servo import DONE
+from homography_servo.planning.servo import FAILED
+from homography_servo.planning.servo import HOLD
+from homography_servo.planning.servo_settings import ServoSettings
+import numpy as np
+import pytest
+from servo_setup import FOCAL_PX
+from servo_setup import GOAL_RAD
+from servo_setup import ROBOT
+from servo_setup import START_RAD
+from servo_setup import straight_path
+from servo_setup import world
+from servo_setup import wrong_arm
+
+FINAL = (0.7e-3, 2e-3, math.radians(0.5), math.radians(2.0))
+CONTINUOUS = ServoSettings(mode='continuous')
+
+
+def flowing(seed=0, truth=None, **kwargs):
+    run = world(seed, truth, settings=CONTINUOUS, **kwargs)
+    run.measure_moving = True
+    return run
+
+
+def started(seconds, **kwargs):
+    run = flowing(**kwargs)
+    run.run(0.4)
+    assert run.servo.start(run.now_s)
+    run.run(seconds)
+    assert run.servo.active
+    return run
+
+
+def final_errors(run, path=None):
+    goal = (straight_path(run.truth) if path is None else path)[-1]
+    return errors_of(displacement(run.true_pose, goal))
+
+
+@pytest.mark.parametrize('share', (0.0, 0.5))
+def test_timing_keeps_speed_and_acceleration_and_ends_at_rest(share):
+    points = np.linspace(START_RAD, GOAL_RAD, 9)[1:]
+    way = timed(ROBOT, START_RAD, share, points, np.full(8, 0.8))
+    assert (np.diff(way.times_s) > 0.0).all() and way.shares[-1] == 0.0
+    assert (np.abs(way.velocities_rad_s) <= 0.8 * ROBOT.velocity_rad_s + 1e-9).all()
+    assert (way.velocities_rad_s[-1] == 0.0).all()
+    rise = np.diff(np.append(share, way.shares)) / np.diff(np.append(0.0, way.times_s))
+    largest = (ROBOT.acceleration_rad_s2 / ROBOT.velocity_rad_s).min()
+    assert rise.max() <= 0.7 * largest
+
+
+def test_timing_slows_down_in_a_bend():
+    there = START_RAD + np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
+    straight = np.array([START_RAD + 0.5 * (there - START_RAD), there])
+    bent = np.array([straight[0], straight[0] + [0.0, 0.15, 0.0, 0.0, 0.0, 0.0]])
+    fast, slow = (timed(ROBOT, START_RAD, 0.0, p, np.ones(2)) for p in (straight, bent))
+    assert slow.shares[0] < 0.9 * fast.shares[0]
+
+
+def test_points_sent_end_before_a_joint_limit():
+    start, beyond = START_RAD.copy(), START_RAD.copy()
+    start[0], beyond[0] = np.radians(70.0), np.radians(90.0)
+    path = straight_path(ArmModel(ROBOT), 21, start, beyond)
+    flow = Flow(ROBOT, path, 1, 0.01)
+    command = flow.command(ArmModel(ROBOT), start, 1.0, FOCAL_PX, 400.0, 0.0)
+    assert command.points_rad[:, 0].max() <= ROBOT.upper_rad[0] - 0.01
+    assert not flow.ends
+
+
+@pytest.mark.parametrize('frame_hz', (30.0, 120.0))
+@pytest.mark.parametrize('truth', [ArmModel(ROBOT), wrong_arm(1)], ids=['exact', 'wrong'])
+def test_continuous_trial_ends_within_the_bounds_and_sooner(truth, frame_hz):
+    run = flowing(3, truth, frame_hz=frame_hz)
+    run.finish(30.0)
+    assert run.servo.state == DONE, run.servo.state_text
+    assert all(e < bound for e, bound in zip(final_errors(run), FINAL))
+    assert run.now_s - 100.4 < 4.0  # stopping at every pose takes 7 s
+
+
+def test_motion_is_smooth_and_keeps_the_limits():
+    run = flowing(1, wrong_arm(1), frame_hz=60.0)
+    joints, step_s = [], 1e-3
+    frame = run._frame
+
+    def sample():
+        joints.append(run._motion.at(run.now_s))
+        run._at(run.now_s + step_s, sample)
+    run.run(0.4)
+    run.servo.start(run.now_s)
+    sample()
+    run.run(30.0, lambda: not run.servo.active)
+    assert frame is not None and run.servo.state == DONE
+    speed = np.diff(joints, axis=0) / step_s
+    assert (np.abs(speed) < 1.05 * ROBOT.velocity_rad_s).all()
+    jumps = np.abs(np.diff(speed, axis=0)).max(axis=0)
+    assert (jumps < 0.1 * ROBOT.velocity_rad_s).all()  # no step in speed
+
+
+@pytest.mark.parametrize('cut', ['see', 'feel'])
+def test_loss_in_full_motion_holds_and_goes_on(cut):
+    run = started(0.8)
+    setattr(run, cut, False)
+    lost_s = run.now_s
+    run.run(1.0)
+    assert run.servo.state == HOLD
+    stop_s = next(at_s for at_s, c in run.commands if c.joints_rad is None)
+    assert stop_s - lost_s < 0.30
+    held_rad = run.joints_at(run.now_s)
+    setattr(run, cut, True)
+    run.run(0.02)
+    assert run.joints_at(run.now_s) == pytest.approx(held_rad)
+    run.run(30.0, lambda: not run.servo.active)
+    assert run.servo.state == DONE
+    assert all(e < bound for e, bound in zip(final_errors(run), FINAL))
+
+
+def test_arm_that_hears_nothing_more_comes_to_rest_by_itself():
+    run = started(0.8)
+    run.obey = False
+    run.run(1.5)
+    rest_rad = run.joints_at(run.now_s)
+    run.run(0.5)
+    assert run.joints_at(run.now_s) == pytest.approx(rest_rad)
+
+
+def test_new_path_in_full_motion_is_taken_over_without_a_stop():
+    run = started(0.7)
+    path = straight_path(run.truth, 31, START_RAD, 0.3 * START_RAD + 0.7 * GOAL_RAD)
+    run.servo.set_path(path, True, '')
+    run.run(30.0, lambda: not run.servo.active)
+    assert run.servo.state == DONE
+    assert not [c for _, c in run.commands if c.joints_rad is None]
+    assert all(e < bound for e, bound in zip(final_errors(run, path), FINAL))
+
+
+def test_joint_limit_in_the_way_is_named():
+    start, beyond = START_RAD.copy(), START_RAD.copy()
+    start[0], beyond[0] = np.radians(60.0), np.radians(84.0)
+    run = flowing()
+    run._motion.__init__(start)
+    run.servo.set_path(straight_path(run.truth, 20, start, beyond), True, '')
+    run.finish(30.0)
+    assert run.servo.state == FAILED and 'joint1' in run.servo.reason
+    assert max(joints[0] for _, joints in run.trace) < ROBOT.upper_rad[0]
