@@ -173,7 +173,7 @@ def examine(image: np.ndarray, quad: np.ndarray, target: Target, plane: Plane,
     if isinstance(fit, Rejected):
         return fit
     quality = fit.quality
-    if quality.inlier_share < 0.6 or quality.side_share.min() < 0.25:
+    if quality.inlier_share < 0.7 or quality.side_share.min() < 0.4:
         return Rejected('the edges do not support the quadrilateral')
     pose, miss_px, turns = best_pose(fit.corners, target.face_size_m, plane)
     allowed_px = 0.4 + (0.03 if target.guessed_lens else 0.01) * _size(fit.corners)

@@ -20,6 +20,7 @@ from homography_servo.tracking.snake import INLIER_WEIGHT
 from homography_servo.tracking.snake import Look
 from homography_servo.tracking.snake import Prior
 from homography_servo.tracking.snake import SnakeFit
+from homography_servo.tracking.texture import FaceTexture
 from homography_servo.tracking.tracker_settings import POLARITIES
 from homography_servo.tracking.tracker_settings import TrackerSettings
 import numpy as np
@@ -33,7 +34,9 @@ OTHER_SIZE = 0.25  # relative change of size from one picture to the next
 FOCUS_HALF = 8  # pixels around the edges for a first look at the blur
 SETTLED_PX = 0.5  # largest last step of a fit that has found its place
 REFOCUS_EVERY, REFOCUS_FIRST = 10, 10  # pictures
-REMEMBER_EVERY = 3
+REMEMBER_EVERY, KEY_EVERY = 3, 10
+CLICK_SIGMA_PX = 1.0  # of corners that a person points at
+TOLD_PX = 4.0  # how far from given corners weak edges may lie
 
 
 class Follower:
@@ -60,7 +63,7 @@ class Follower:
         self._box: BoxSides | None = None
         if box_height_m > 0.0 and plane.camera is not None:
             self._box = BoxSides(face_size_m, box_height_m, plane)
-        self._locator = Locator()
+        self._locator, self._texture = Locator(), FaceTexture()
         self._contrast: float | None = None
         self._accepted = 0
         self._points_m, self._pose = face_corners(*face_size_m), None
@@ -104,21 +107,75 @@ class Follower:
         if fit:
             return fit
         why = fit
-        for corners in (self._locate(image, prior.corners), given):
+        located = self._locate(image, prior.corners)
+        for corners in (located, given):
             if not fit and corners is not None:
                 fit = self._near(image, Prior(corners, prior.information), MEDIUM)
+        for corners in (prior.corners, located):
+            if not fit and corners is not None:
+                fit = self._by_print(image, corners, prior)
         return fit or why
 
-    def capture(self, image: np.ndarray, prior: Prior) -> SnakeFit | Rejected:
-        """Find the face around corners that are known to some pixels only."""
-        fit = self._near(image, prior, WIDE)
+    def capture(self, image: np.ndarray, prior: Prior, told: bool = False) -> SnakeFit | Rejected:
+        """
+        Find the face around corners that are known to some pixels only.
+
+        Parameters
+        ----------
+        image : (H, W) uint8 array
+            The picture.
+        prior : Prior
+            Where the corners are thought to be.
+        told : bool
+            Whether a person says so: then a face with print may have weak edges.
+
+        Returns
+        -------
+        SnakeFit or Rejected
+
+        """
+        fit = self._fine(image, prior)
+        if not fit:
+            fit = self._near(image, prior, WIDE)
         if not fit:
             corners = self._locate(image, prior.corners)
             if corners is not None:
                 fit = self._near(image, Prior(corners, prior.information), MEDIUM)
+        if not fit and told:
+            return self._told(image, prior)
         if not fit or self._accepted:
             return fit
         return self.settle(image, fit)
+
+    def _told(self, image: np.ndarray, prior: Prior) -> SnakeFit | Rejected:
+        """Accept weak edges around given corners where there is print to go on with."""
+        clicked = Prior(prior.corners, np.eye(8) / CLICK_SIGMA_PX ** 2)
+        fit = fit_snake(image, prior.corners, Look(self.blur_px, self.settings.edge_half_px),
+                        self._plane, clicked, POLARITIES[self.settings.polarity])
+        if isinstance(fit, Rejected):
+            return fit
+        self._texture.remember(image, self._plane.to_image(fit.corners))
+        moved_px = float(np.abs(fit.corners - prior.corners).max())
+        if not self._texture.known or moved_px > TOLD_PX \
+                or np.count_nonzero(fit.quality.side_share > 2.0 * SEEN_SIDE) < SIDES_NEEDED - 1:
+            self._texture.forget()
+            return Rejected('neither edges nor print confirm the given corners')
+        return fit
+
+    def _by_print(self, image: np.ndarray, corners: np.ndarray,
+                  expected: Prior) -> SnakeFit | Rejected:
+        """Follow by the print on the face, and by its edges where they show."""
+        found = self._texture.align(image, self._plane.to_image(corners))
+        if found is None:
+            return Rejected('the face does not look as before')
+        prior = Prior(self._plane.from_image(found.corners), found.information)
+        look = Look(self.blur_px, self.settings.edge_half_px, least=0, first_sure_px=0.15)
+        fit = fit_snake(image, prior.corners, look, self._plane, prior,
+                        POLARITIES[self.settings.polarity])
+        if isinstance(fit, Rejected):
+            return fit
+        doubt = self._surprise(fit, expected) or self._not_the_face(fit)
+        return Rejected(doubt) if doubt else fit._replace(by_print=True)
 
     def settle(self, image: np.ndarray, fit: SnakeFit) -> SnakeFit | Rejected:
         """Learn blur and the levels of the box's sides from a first fit, and fit again."""
@@ -148,6 +205,10 @@ class Follower:
             self._box.learn(fit.edges, fit.weight, fit.strips, self.settings.edge_half_px)
         if self._accepted % REMEMBER_EVERY == 1:
             self._locator.remember(image, self._plane.to_image(fit.corners))
+        if not self._texture.known and self._accepted % KEY_EVERY == 1:
+            self._texture.remember(image, self._plane.to_image(fit.corners))
+        if fit.by_print:
+            return  # its edges are too weak to learn from
         if self._accepted <= REFOCUS_FIRST or self._accepted % REFOCUS_EVERY == 0:
             clean = good if fit.edges.second is None else good & fit.edges.single
             self.blur_px = refocus(fit.scan, fit.corners, clean, self.blur_px)

@@ -21,6 +21,7 @@ NOISE_FLOOR = 0.3  # mean squared grey level; rounding alone gives 1/12
 ROBUST_SIGMAS = 4.0  # where Tukey's weight ends
 ODD_RESIDUAL, ODD_POWER = 1.6, 2.0  # mean square over the noise's that noise cannot explain
 INLIER_WEIGHT = 0.1
+MOST_DONE_PX = 0.3
 IMAGE_PLANE = Plane(None)
 
 
@@ -42,6 +43,7 @@ class Look(NamedTuple):
     done_sigmas: float = 6.0  # a step smaller than so many corner sigmas is the last one
     sure_px: float = 0.15  # scatter between segments that is not surprising
     first_sure_px: float = 0.6  # the same in the first round
+    least: int = 8  # segments that must show an edge
 
 
 class Quality(NamedTuple):
@@ -68,6 +70,7 @@ class SnakeFit(NamedTuple):
     quality: Quality | None = None
     scan: Scan | None = None  # the pixels it was fitted to
     strips: Strips | None = None  # the sides of the box that were expected
+    by_print: bool = False  # whether the print on the face was needed
 
 
 def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = IMAGE_PLANE,
@@ -108,13 +111,14 @@ def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = I
                 return Rejected('the face is not inside the image')
         edges = measure_edges(scan, corners, profile, strips)
         usable = _usable(edges, profile.sigma_px, polarity)
-        if np.count_nonzero(usable) < 2 * len(start):
+        if np.count_nonzero(usable) < look.least:
             return Rejected(f'only {np.count_nonzero(usable)} segments show an edge')
         fit = fit_polygon(edges, corners, usable, prior, look, iteration == 0, strips)
         if not sound(fit.corners):
             return Rejected('the polygon folded')
         corners, far_px = fit.corners, far_px + fit.moved_px
-        if fit.moved_px < look.done_sigmas * (np.trace(fit.covariance) / corners.size) ** 0.5:
+        sigma_px = (np.trace(fit.covariance) / corners.size) ** 0.5
+        if fit.moved_px < min(look.done_sigmas * sigma_px, MOST_DONE_PX):
             break
         if strips is not None:
             strips = strips._replace(width=strips.width + strips.rows @ fit.step)

@@ -168,7 +168,8 @@ class Tracker:
         last = None if self._last_px is None else self._plane.from_image(self._last_px)
         for near in (given, last):
             if near is not None and not fit:
-                fit = self._follower.capture(image, shape_prior(near, GIVEN_SHAPE_SIGMA_PX))
+                fit = self._follower.capture(image, shape_prior(near, GIVEN_SHAPE_SIGMA_PX),
+                                             told=near is given and not self._was_lost)
         told = bool(fit) and given is not None and not self._was_lost
         if not fit and self._settings.find_face:
             found = find_face(image, self._target(), self._plane,

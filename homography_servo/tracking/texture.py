@@ -1,0 +1,130 @@
+"""
+Align the print on the face with how it looked before.
+
+Where the edges of a face are too weak to follow, its print can carry it: the view of
+the face in a key picture is compared with the present one by Gauss-Newton steps of
+the four corners, brightness and contrast left free.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+from homography_servo.tracking.snake import Prior
+import numpy as np
+
+SAMPLE_PX = 2.5  # distance of the samples in the key picture
+INSET = 0.03  # of the face's width and height that is left out at its edges
+LEAST_SAMPLES, MOST_SAMPLES = 8, 64  # per direction
+LIVELY_GREY = 8.0  # standard deviation of a view with print on it
+STEPS = 8
+DONE_PX = 0.02
+LIKE = 0.85  # correlation with the key picture
+REDUNDANCY = 4.0  # neighbouring samples share their noise
+KEY_SIGMA_PX = 0.5  # corners of the key picture
+
+
+class Key(NamedTuple):
+    """How the face looked once."""
+
+    view: np.ndarray  # (r, c) float32, zero mean, unit deviation
+    weights: np.ndarray  # (r, c, 4) share of each corner in the place of a sample
+    size: tuple[int, int]  # c, r
+
+
+class FaceTexture:
+    """Remembers the print of a face and finds it again near by."""
+
+    def __init__(self) -> None:
+        self._key: Key | None = None
+
+    @property
+    def known(self) -> bool:
+        """Tell whether there is print to align with."""
+        return self._key is not None
+
+    def forget(self) -> None:
+        """Drop the key picture."""
+        self._key = None
+
+    def remember(self, image: np.ndarray, corners_px: np.ndarray) -> None:
+        """Take a picture as key if the face with these corners has print on it."""
+        sides = np.linalg.norm(np.roll(corners_px, -1, axis=0) - corners_px, axis=1)
+        size = tuple(int(np.clip(max(pair) / SAMPLE_PX, LEAST_SAMPLES, MOST_SAMPLES))
+                     for pair in (sides[::2], sides[1::2]))
+        view = _view(image, corners_px, size)
+        if view.std() < LIVELY_GREY:
+            self._key = None
+            return
+        across, down = (np.linspace(INSET, 1.0 - INSET, count) for count in size)
+        s, t = np.meshgrid(across, down)
+        weights = np.stack([(1 - s) * (1 - t), s * (1 - t), s * t, (1 - s) * t], axis=-1)
+        self._key = Key((view - view.mean()) / view.std(), weights, size)
+
+    def align(self, image: np.ndarray, corners_px: np.ndarray) -> Prior | None:
+        """
+        Find the corners at which the face looks like in the key picture.
+
+        Parameters
+        ----------
+        image : (H, W) uint8 array
+            The picture.
+        corners_px : (4, 2) array
+            Where the corners are expected.
+
+        Returns
+        -------
+        Prior or None
+            Corners and their information, None where the face does not look alike.
+
+        """
+        if self._key is None:
+            return None
+        corners = corners_px
+        for _ in range(STEPS):
+            if not np.isfinite(corners).all():
+                return None
+            view = _view(image, corners, self._key.size)
+            spread = float(view.std())
+            if spread < 0.25 * LIVELY_GREY:
+                return None
+            view = (view - view.mean()) / spread
+            rows = self._rows(view, corners)
+            miss = (self._key.view - view).ravel()
+            normal = rows.T @ rows + 1e-6 * np.eye(8)
+            step = np.linalg.solve(normal, rows.T @ miss)
+            corners = corners + step.reshape(4, 2)
+            if np.abs(step).max() < DONE_PX:
+                break
+        if float(np.mean(view * self._key.view)) < LIKE or not np.isfinite(corners).all():
+            return None
+        noise = REDUNDANCY * float(np.mean(miss * miss))
+        covariance = noise * np.linalg.inv(normal) + KEY_SIGMA_PX ** 2 * np.eye(8)
+        return Prior(corners, np.linalg.inv(covariance))
+
+    def _rows(self, view: np.ndarray, corners: np.ndarray) -> np.ndarray:
+        """Differentiate the samples by the corners (r c, 8)."""
+        down, across = np.gradient(0.5 * (view + self._key.view))
+        place = self._key.weights @ corners
+        place_down, place_across = (np.gradient(place, axis=axis) for axis in (0, 1))
+        determinant = place_across[..., 0] * place_down[..., 1] \
+            - place_across[..., 1] * place_down[..., 0]
+        slope_u = (across * place_down[..., 1] - down * place_across[..., 1]) / determinant
+        slope_v = (down * place_across[..., 0] - across * place_down[..., 0]) / determinant
+        slope = np.stack([slope_u, slope_v], axis=-1)
+        rows = self._key.weights[..., :, None] * slope[..., None, :]
+        return rows.reshape(-1, 8)
+
+
+def _view(image: np.ndarray, corners_px: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Look straight at the face: (r, c) float32."""
+    right, bottom = size[0] - 1.0, size[1] - 1.0
+    margin_u, margin_v = (INSET * last / (1.0 - 2.0 * INSET) for last in (right, bottom))
+    frame = np.array([[-margin_u, -margin_v], [right + margin_u, -margin_v],
+                      [right + margin_u, bottom + margin_v], [-margin_u, bottom + margin_v]])
+    image_from_view = cv2.getPerspectiveTransform(frame.astype(np.float32),
+                                                  corners_px.astype(np.float32))
+    view = cv2.warpPerspective(image, image_from_view, size, None,
+                               cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, cv2.BORDER_REPLICATE)
+    return cv2.GaussianBlur(view, (3, 3), 0).astype(np.float32)
