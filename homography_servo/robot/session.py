@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections import deque
 from dataclasses import dataclass
+import math
 from typing import NamedTuple, Union
 
 from homography_servo.errors import LinkError
@@ -26,6 +27,8 @@ from homography_servo.robot.protocol import Request
 WINDOW = 4
 REPLY_S = 0.1  # the least time that a reply may take
 WIRE_FACTOR = 3.0
+LOOK_S = 0.03  # the longest time between two looks at the line when nothing holds us up
+LONGEST_EXCUSE_S = 0.2
 LONGEST_REPLY = 60  # bytes of a POS of six servos, CRC and LF
 BITS_PER_BYTE = 10  # 8N1
 REMEMBERED_RUNS = 256
@@ -84,6 +87,7 @@ class Session:
         self._waiting: deque[_Pending] = deque()
         self._unanswered: dict[int, _Pending] = {}
         self._running: dict[int, None] = {}
+        self._looked_s = math.inf
 
     @property
     def seq(self) -> int:
@@ -132,6 +136,7 @@ class Session:
 
         """
         out = b''
+        self._excuse(now_s)
         for item in list(self._unanswered.values()):
             if now_s < item.due_s:
                 continue
@@ -145,6 +150,15 @@ class Session:
             self._unanswered[item.request.seq] = item
             out += self._sent(item, now_s)
         return out
+
+    def _excuse(self, now_s: float) -> None:
+        """Leave out time in which nobody looked: our absence is not the device's silence."""
+        absent_s = min(now_s - self._looked_s - LOOK_S, LONGEST_EXCUSE_S)
+        self._looked_s = now_s
+        if absent_s > 0.0:
+            self.counts['late_looks'] += 1
+            for item in self._unanswered.values():
+                item.due_s += absent_s
 
     def next_due_s(self) -> float | None:
         """Give the time at which `due` has something to do at the latest."""

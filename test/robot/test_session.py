@@ -19,6 +19,15 @@ def reply(*texts):
     return b''.join(encode_line(text) for text in texts)
 
 
+def looked(session, start_s, end_s):
+    """Look every 10 ms, as a thread that is not held up does."""
+    out, now_s = b'', start_s
+    while now_s < end_s:
+        now_s = min(now_s + 0.01, end_s)
+        out += session.due(now_s)
+    return out
+
+
 @pytest.fixture
 def session():
     return Session(115200)
@@ -38,16 +47,27 @@ def test_requests_are_numbered_and_at_most_four_wait_for_an_answer(session):
 def test_silence_means_one_repeat_and_then_death(session):
     session.request('?')
     assert lines(session.due(0.0)) == ['1 ?']
-    assert session.due(0.099) == b'' and session.next_due_s() == pytest.approx(0.1)
+    assert looked(session, 0.0, 0.099) == b'' and session.next_due_s() == pytest.approx(0.1)
     assert lines(session.due(0.1)) == ['1 ?']
+    assert looked(session, 0.1, 0.199) == b''
     with pytest.raises(LinkError, match='asked twice'):
         session.due(0.2)
+
+
+def test_time_in_which_nobody_looked_is_not_silence(session):
+    session.request('?')
+    session.due(0.0)
+    assert session.due(0.12) == b'' and session.counts['late_looks'] == 1
+    assert lines(looked(session, 0.12, 0.20)) == ['1 ?']
+    assert session.due(0.45) == b'' and session.backlog == 1
+    with pytest.raises(LinkError):  # but it does not excuse everything
+        session.due(60.0)
 
 
 def test_an_answer_to_the_repeat_is_enough_and_a_second_one_is_stray(session):
     session.request('?pos')
     session.due(0.0)
-    session.due(0.1)
+    looked(session, 0.0, 0.1)
     assert session.feed(reply('1 POS 1 2')) == [Answer(1, '?pos', 'POS', (1, 2))]
     assert session.feed(reply('1 POS 1 2')) == [] and session.counts['stray_replies'] == 1
 
@@ -92,7 +112,7 @@ def test_dropped_motion_is_neither_sent_nor_repeated(session):
         session.request(f'!goto {k}', motion=True)
     session.due(0.0)
     session.drop_motion()
-    assert lines(session.due(0.1)) == ['1 ?'] and session.backlog == 1
+    assert lines(looked(session, 0.0, 0.1)) == ['1 ?'] and session.backlog == 1
 
 
 def test_the_time_for_a_reply_grows_on_a_slow_line():
