@@ -19,6 +19,7 @@ from homography_servo.nodes.conversions import image_msg
 from homography_servo.nodes.conversions import joints_from_state
 from homography_servo.nodes.conversions import polygon_msg
 from homography_servo.nodes.conversions import pose_stamped_msg
+from homography_servo.nodes.conversions import seconds_from_stamp
 from homography_servo.nodes.conversions import velocity_from_state
 from homography_servo.nodes.kit import Health
 from homography_servo.nodes.kit import images_qos
@@ -38,8 +39,10 @@ from homography_servo.settings import whole
 from homography_servo.simulation.scene import Scene
 from homography_servo.simulation.scene_settings import SceneSettings
 from homography_servo.simulation.true_arm import ArmErrors
+from homography_servo.simulation.true_arm import SILENT_S
 from homography_servo.simulation.true_arm import TrueArm
 import numpy as np
+from rclpy.duration import Duration
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import Image
@@ -47,6 +50,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 SEND_PERIOD_S = 0.002  # how finely the delay is kept
+SHORTEST_S = 1e-4  # between two moments of exposure
 MOST_WAITING = 2000
 
 
@@ -100,7 +104,7 @@ class CameraSim(NodeKit, Node):
         problem = self._settings[ArmErrors].problem_with(self._arm.robot)
         if problem:
             raise ConfigError(self.NAME, 0, '', problem)
-        self._index, self._began_s = 0, time.monotonic()
+        self._index, self._began_s, self._last_moment_s = 0, time.monotonic(), 0.0
         self._waiting: deque[Shot] = deque(maxlen=MOST_WAITING)
         self._sender = None
         self._drops = np.random.default_rng([settings.seed, 9])
@@ -139,18 +143,24 @@ class CameraSim(NodeKit, Node):
         if isinstance(joints_rad, Rejected):
             self.reject('joint_states', joints_rad.reason)
             return
-        self._arm.report(joints_rad, velocity_from_state(msg, names), time.monotonic())
+        now_ns = self.get_clock().now().nanoseconds
+        age_s = 1e-9 * now_ns - seconds_from_stamp(msg.header.stamp)
+        age_s = age_s if 0.0 <= age_s < SILENT_S else 0.0  # no stamp, or another clock's
+        self._arm.report(joints_rad, velocity_from_state(msg, names), time.monotonic() - age_s)
 
     def _expose(self) -> None:
         """Freeze the moment; the picture of it is rendered when it is sent."""
         settings = self._settings[CameraSimSettings]
-        stamp, now_s = self.get_clock().now().to_msg(), time.monotonic()
+        now, now_s = self.get_clock().now(), time.monotonic()
+        moment_s = max(self._arm.known_until(now_s), self._last_moment_s + SHORTEST_S)
+        self._last_moment_s = moment_s
+        stamp = (now - Duration(seconds=max(0.0, now_s - moment_s))).to_msg()
         self._index += 1
         if self._drops.uniform() < settings.drop_share:
             self.count('dropped')
             return
         self._waiting.append(Shot(now_s + settings.delay_s, stamp, now_s - self._began_s,
-                                  self._index, self._arm.home_from_object(now_s)))
+                                  self._index, self._arm.home_from_object(moment_s)))
         self._send_due()
 
     def _send_due(self) -> None:

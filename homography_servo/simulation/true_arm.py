@@ -13,6 +13,7 @@ from homography_servo.settings import reals
 from homography_servo.settings import Settings
 import numpy as np
 
+SILENT_S = 0.5
 EXTRAPOLATE_S = 0.05  # joint states come every 20 ms; older ones are held
 
 
@@ -107,6 +108,18 @@ class TrueArm:
         usable = velocity_rad_s is not None and np.isfinite(velocity_rad_s).all()
         self._velocity_rad_s = velocity_rad_s if usable else np.zeros(len(joints_rad))
         self._joints_rad, self._reported_s = joints_rad, time_s
+
+    def known_until(self, time_s: float) -> float:
+        """
+        Give the last moment up to a time at which it is known where the arm is.
+
+        On a busy machine reports come late. A picture made now of an arm as it was is a
+        picture of then; an arm that has long been silent is taken to stand still.
+        """
+        silent_s = time_s - self._reported_s
+        if self._joints_rad is None or silent_s > SILENT_S:
+            return time_s
+        return min(time_s, self._reported_s + EXTRAPOLATE_S)
 
     def home_from_object(self, time_s: float) -> np.ndarray | None:
         """Give the true pose (4, 4) at a time, None before the first report."""

@@ -8,6 +8,7 @@ from homography_servo.robot.kinematics import object_pose
 from homography_servo.robot.robot_file import load_robot
 from homography_servo.simulation.true_arm import ArmErrors
 from homography_servo.simulation.true_arm import EXTRAPOLATE_S
+from homography_servo.simulation.true_arm import SILENT_S
 from homography_servo.simulation.true_arm import true_home_from_object
 from homography_servo.simulation.true_arm import TrueArm
 import numpy as np
@@ -65,3 +66,13 @@ def test_home_lies_on_the_optical_axis():
     moved = TrueArm(ROBOT).in_camera(object_pose(ROBOT, JOINTS_RAD))
     difference = log_transform(moved @ np.linalg.inv(object_pose(ROBOT, JOINTS_RAD)))
     assert difference == pytest.approx([0.0, 0.0, ROBOT.home_depth_m, 0.0, 0.0, 0.0], abs=1e-9)
+
+
+def test_late_reports_date_the_picture_back_but_silence_does_not():
+    arm = TrueArm(ROBOT)
+    assert arm.known_until(5.0) == 5.0  # nothing is known: the background is of now
+    arm.report(JOINTS_RAD, None, 10.0)
+    assert arm.known_until(10.0) == 10.0
+    assert arm.known_until(10.0 + 0.5 * EXTRAPOLATE_S) == 10.0 + 0.5 * EXTRAPOLATE_S
+    assert arm.known_until(10.3) == 10.0 + EXTRAPOLATE_S
+    assert arm.known_until(10.0 + 2.0 * SILENT_S) == 10.0 + 2.0 * SILENT_S
