@@ -116,16 +116,20 @@ class Browser:
 
     def run(self, script: str) -> Any:
         """Evaluate a script in the page, awaiting promises, and give its value."""
-        answer = self.command('Runtime.evaluate', expression=script, awaitPromise=True,
-                              returnByValue=True)
+        try:
+            answer = self.command('Runtime.evaluate', expression=script, awaitPromise=True,
+                                  returnByValue=True)
+        except BrowserError:  # the page was just being replaced; a second refusal is meant
+            answer = self.command('Runtime.evaluate', expression=script, awaitPromise=True,
+                                  returnByValue=True)
         if 'exceptionDetails' in answer:
             details = answer['exceptionDetails']
             raise BrowserError(details.get('exception', {}).get('description', details['text']))
         return answer['result'].get('value')
 
     def text(self, selector: str) -> str:
-        """Give the text that a person reads at an element."""
-        return self.run(f'document.querySelector({json.dumps(selector)}).innerText')
+        """Give the text that a person reads at an element, empty where there is none."""
+        return self.run(f'(document.querySelector({json.dumps(selector)}) || {{}}).innerText') or ''
 
     def click(self, selector: str) -> None:
         """Press and release the mouse in the middle of an element."""

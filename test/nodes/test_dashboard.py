@@ -142,7 +142,7 @@ def cell(probe, start_node):
 
 def say(cell, browser, selector: str, wanted: str) -> None:
     """Wait until an element shows some text."""
-    cell.probe.wait(lambda: wanted in (browser.text(selector) or ''),
+    cell.probe.wait(lambda: wanted in browser.text(selector),
                     f'{selector} does not say {wanted!r} but {browser.text(selector)!r}')
 
 
@@ -294,7 +294,8 @@ def test_the_page_goes_on_after_a_restart_of_the_dashboard(cell, start_node, bro
                     'the page does not say that it is cut off')
     start_node('dashboard', port=int(cell.url.rstrip('/').rsplit(':', 1)[1]))
     cell.probe.wait(lambda: browser.run(
-        'document.querySelector("meta[name=token]").content') != token, 'no new token')
+        '(document.querySelector("meta[name=token]") || {}).content') not in (token, None),
+        'no new token')
     say(cell, browser, '#state-visual_servo', 'LOOKING')
     browser.click('[data-press=stop]')
     cell.probe.wait(lambda: len(cell.pressed) == 2, 'stop does not work any more')
