@@ -31,7 +31,7 @@ from scipy.spatial.transform import Rotation
 import yaml
 
 SETTINGS = PlannerSettings()
-ENDS = postures(80, 5)
+ENDS = postures(52, 5)
 PAIRS = list(zip(ENDS[::2], ENDS[1::2]))
 
 
@@ -44,6 +44,11 @@ def planned(start_rad, goal_rad, shift=np.eye(4), **changes):
 @pytest.fixture(scope='module')
 def plans():
     return [planned(*pair) for pair in PAIRS]
+
+
+@pytest.fixture(scope='module')
+def roadmap():
+    return Roadmap(ROBOT, CAMERA, replace(SETTINGS, pass_singularities=False), 800)
 
 
 def test_the_trial_needs_no_repair():
@@ -88,11 +93,10 @@ def test_singularities_are_kept_off_or_passed_led_by_joints(plans):
         assert led[flips].all() and led[flips + 1].all()
 
 
-def test_where_singularities_must_not_be_passed_vetoes_are_true(plans):
+def test_where_singularities_must_not_be_passed_vetoes_are_true(plans, roadmap):
     """Between both sides of a singularity there is no way: the determinant would vanish."""
     divided = [pair for pair, found in zip(PAIRS, plans) if singular_ways(found)]
     assert divided
-    roadmap = Roadmap(ROBOT, CAMERA, replace(SETTINGS, pass_singularities=False), 1500)
     for start, goal in divided:
         found = planned(start, goal, pass_singularities=False)
         assert not found.ok and 'singularity' in found.sentence
@@ -106,8 +110,7 @@ def test_where_singularities_must_not_be_passed_vetoes_are_true(plans):
                 or room < SETTINGS.joint_margin_rad
 
 
-def test_the_roadmap_finds_a_way_where_the_planner_does(plans):
-    roadmap = Roadmap(ROBOT, CAMERA, replace(SETTINGS, pass_singularities=False), 1500)
+def test_the_roadmap_finds_a_way_where_the_planner_does(plans, roadmap):
     kept_off = [pair for pair, found in zip(PAIRS, plans)
                 if found.ok and not singular_ways(found)][:10]
     wrong = [roadmap.confirms(start, object_pose(ROBOT, goal)) for start, goal in kept_off]
