@@ -129,7 +129,7 @@ class Browser:
 
     def text(self, selector: str) -> str:
         """Give the text that a person reads at an element, empty where there is none."""
-        return self.run(f'(document.querySelector({json.dumps(selector)}) || {{}}).innerText') or ''
+        return self.run(f'(document.querySelector({json.dumps(selector)}) || "").innerText') or ''
 
     def click(self, selector: str) -> None:
         """Press and release the mouse in the middle of an element."""
