@@ -52,6 +52,10 @@ class ArmThread:
         if self._thread.is_alive():
             self._thread.join(1.0)
         self._driver.close()
+        if not self._thread.is_alive() and self._reader >= 0:
+            for handle in (self._reader, self._writer):
+                os.close(handle)
+            self._reader = self._writer = -1
 
     def _run(self) -> None:
         while not self._ended.is_set():

@@ -7,6 +7,7 @@ import select
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 from homography_servo.robot.arm_thread import ArmThread
@@ -287,6 +288,34 @@ def test_a_slow_line_works_at_9600_baud(bench):
     bench.until(lambda state: state == 'IDLE', 15.0)
     assert bench.driver.snapshot(time.monotonic()).arm.positions == \
         pytest.approx([-0.18] * 6, abs=1e-3)
+
+
+def test_many_losses_leave_no_handles_and_no_threads_behind(tmp_path):
+    def held():
+        return len(os.listdir('/proc/self/fd')), threading.active_count()
+
+    def one():
+        port = PtyPort(tmp_path / 'robix')
+        emulator = Emulator(Device(), port)
+        emulator.start()
+        link = Link(lambda: open_transport(str(tmp_path / 'robix'), 115200))
+        thread = ArmThread(ArmDriver(ROBOT, link))
+        thread.start()
+        time.sleep(0.02)
+        thread.stop()
+        emulator.stop()
+        for _ in range(5):
+            port.plug()
+            link.open_now()
+            port.unplug()
+            link.turn(time.monotonic() + 1000.0)
+        link.close()
+
+    one()
+    before = held()
+    for _ in range(10):
+        one()
+    assert held() == before
 
 
 # --- the program -------------------------------------------------------------------------

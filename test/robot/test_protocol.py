@@ -39,18 +39,20 @@ def crc_by_bits(data):
     return crc
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=60))
 def test_checksum_is_the_one_of_the_standard(data):
     assert checksum(b'123456789') == b'29B1'
     assert checksum(data) == b'%04X' % crc_by_bits(data)
 
 
+@settings(deadline=None)
 @given(TEXTS)
 def test_a_line_is_read_back(text):
     assert LineDecoder().feed(encode_line(text)) == [Line(text)]
 
 
-@settings(max_examples=50)
+@settings(max_examples=50, deadline=None)
 @given(st.lists(st.one_of(TEXTS.map(encode_line), st.binary(max_size=40),
                           st.just(b'x' * 300 + b'\n')), max_size=8), st.data())
 def test_it_does_not_matter_where_the_stream_is_cut(parts, data):
@@ -65,6 +67,7 @@ def test_it_does_not_matter_where_the_stream_is_cut(parts, data):
     assert [item for i in range(len(stream)) for item in single.feed(stream[i:i + 1])] == whole
 
 
+@settings(deadline=None)
 @given(TEXTS, st.integers(0, 7), st.data())
 def test_one_wrong_bit_never_passes(text, bit, data):
     line = encode_line(text)
@@ -168,6 +171,7 @@ def test_replies_that_are_not_to_the_letter_are_refused(text):
     assert isinstance(parse_reply(text), Rejected)
 
 
+@settings(deadline=None)
 @given(st.text(max_size=60))
 def test_no_text_makes_the_readers_fail(text):
     parse_request(text)

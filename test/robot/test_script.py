@@ -9,6 +9,7 @@ from homography_servo.robot.script import Restart
 from homography_servo.robot.script import ScriptError
 from homography_servo.robot.script import Wait
 from hypothesis import given
+from hypothesis import settings
 from hypothesis import strategies as st
 import pytest
 
@@ -96,6 +97,7 @@ WORDS = st.sampled_from(['move', 'jump', 'to', 'by', 'all', '1', '2', '-5', ',',
                          'invert', '99999999999999999999'])
 
 
+@settings(deadline=None)
 @given(st.lists(WORDS, max_size=15).map(' '.join))
 def test_any_text_is_read_or_refused_with_a_place_in_it(text):
     try:
