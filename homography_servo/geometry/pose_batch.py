@@ -16,6 +16,7 @@ from homography_servo.geometry.pose_start import Shape
 from homography_servo.geometry.pose_start import shape_of
 from homography_servo.geometry.pose_views import views_of
 from homography_servo.geometry.rigid import transform
+from homography_servo.geometry.stacks import inverse_positive
 from homography_servo.result import Rejected
 import numpy as np
 
@@ -104,8 +105,9 @@ def _stack(fit: Fit, good: np.ndarray, count: int, home_depth_m: float) -> PoseS
     exists = np.isfinite(fit.chi2[first])
     distinct = exists & np.isfinite(fit.chi2[second]) & ~_same(fit, first, second)
     stack = _empty(count)
+    with np.errstate(all='ignore'):
+        covariance = inverse_positive(fit.normal)
     pose = transform(fit.rotation, fit.translation_m - (0.0, 0.0, home_depth_m))
-    covariance = np.linalg.inv(fit.normal + 1e-300 * np.eye(6))
     found = good[exists]
     for column, index in ((0, first), (1, np.where(distinct, second, first))):
         stack.home_from_object[found, column] = pose[index[exists]]

@@ -2,8 +2,8 @@
 Refine poses by reprojection: Levenberg-Marquardt on stacks of problems.
 
 One stack holds both minima of one view, or of a thousand views; the same code
-serves both. Points run along the last axis, so that every operation is on rows
-of numbers: with four points the cost is in the calls, not in the arithmetic.
+serves both (`stacks` lays them out in memory). Points run along the last axis, so
+that every operation is on rows of numbers.
 
 The six unknowns are a small translation of the object's origin and a small
 rotation vector, both along the camera's axes, so the inverse of the normal matrix
@@ -15,13 +15,19 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from homography_servo.geometry.pose_curvature import curvature
+from homography_servo.geometry.stacks import crosses
+from homography_servo.geometry.stacks import FEW
+from homography_servo.geometry.stacks import images
+from homography_servo.geometry.stacks import laid_out
+from homography_servo.geometry.stacks import product
+from homography_servo.geometry.stacks import solve_positive
+from homography_servo.geometry.stacks import zeros
 import numpy as np
-from scipy.linalg import lapack
 
 _MAX_STEPS = 40
 _RIDGE = 1e-12  # keeps the normal matrix invertible where the data leave it open
+_COMPACT = 0.3  # share of settled poses that is worth sorting out
 _PATIENCE = 4  # steps of Gauss-Newton before its curvature is completed
-_FEW = 4  # up to here single LAPACK calls beat numpy's stacked solver
 
 
 class Views(NamedTuple):
@@ -43,7 +49,7 @@ class Views(NamedTuple):
         """Select or repeat views."""
         shared = self.whitener.ndim == 2 or len(self.whitener) == 1
         whitener = self.whitener if shared else self.whitener[index]
-        return self._replace(rays=self.rays[index], whitener=whitener)
+        return self._replace(rays=laid_out(self.rays[index]), whitener=whitener)
 
 
 class Fit(NamedTuple):
@@ -58,7 +64,7 @@ class Fit(NamedTuple):
 
     def take(self, index: np.ndarray) -> Fit:
         """Select poses."""
-        return Fit(*(value[index] for value in self))
+        return Fit(*(laid_out(value[index]) for value in self))
 
 
 def refine(views: Views, rotation: np.ndarray, translation_m: np.ndarray) -> Fit:
@@ -79,16 +85,17 @@ def refine(views: Views, rotation: np.ndarray, translation_m: np.ndarray) -> Fit
 
     """
     with np.errstate(all='ignore'):
-        state = linearise(views, rotation, translation_m)
-        if len(state.chi2) <= _FEW:
-            return _descend(views, state)
-        return _descend_many(views, state)
+        if len(rotation) <= FEW:
+            return _descend(views, linearise(views, rotation, translation_m))
+        views = views._replace(rays=laid_out(views.rays))
+        return _descend_many(views, linearise(views, laid_out(rotation),
+                                              laid_out(translation_m)))
 
 
 def linearise(views: Views, rotation: np.ndarray, translation_m: np.ndarray) -> Fit:
     """Evaluate chi squared, its gradient and the Gauss-Newton matrix at poses."""
     rows = residuals(views, rotation, translation_m)
-    products = rows @ rows.swapaxes(-1, -2)
+    products = product(rows, rows.swapaxes(-1, -2))
     return Fit(rotation, translation_m, products[:, 6, 6], products[:, :6, :6],
                products[:, :6, 6], rows[:, 6])
 
@@ -112,11 +119,11 @@ def residuals(views: Views, rotation: np.ndarray, translation_m: np.ndarray) -> 
         where a point is not before the camera.
 
     """
-    camera_m = rotation @ views.points_m + translation_m[:, :, None]
+    camera_m = images(rotation, views.points_m) + translation_m[:, :, None]
     inverse = 1.0 / np.maximum(camera_m[:, 2:], 0.0)
     image = camera_m[:, :2] * inverse
     square = image * image + 1.0
-    rows = np.zeros((len(camera_m), 7, 2, camera_m.shape[2]))
+    rows = zeros(len(camera_m), 7, 2, camera_m.shape[2])
     rows[:, 0, 0] = rows[:, 1, 1] = inverse[:, 0]
     np.multiply(image, -inverse, out=rows[:, 2])
     u, v = image[:, 0], image[:, 1]
@@ -129,7 +136,7 @@ def residuals(views: Views, rotation: np.ndarray, translation_m: np.ndarray) -> 
     np.subtract(image, views.rays, out=rows[:, 6])
     rows = _whitened(views, rows).reshape(len(camera_m), 7, -1)
     # So far it turns about the camera; let it turn about the object's origin.
-    rows[:, 3:6] -= (translation_m @ _CROSS).reshape(-1, 3, 3) @ rows[:, :3]
+    rows[:, 3:6] -= product(crosses(translation_m), rows[:, :3])
     return rows
 
 
@@ -160,21 +167,23 @@ def _descend(views: Views, state: Fit) -> Fit:
 
 def _descend_many(views: Views, state: Fit) -> Fit:
     """Do as `_descend`, and go on only with the poses that have not settled."""
-    result = Fit(*(value.copy() for value in state))
+    result = Fit(*(value.copy(order='K') for value in state))
     index, damping = np.arange(len(state.chi2)), np.full(len(state.chi2), _RIDGE)
     before = 0.0
     for count in range(_MAX_STEPS):
         step, gain = (_step if count < _PATIENCE else _newton_step)(views, state, damping)
         settled = _settled(gain, before, state.chi2)
-        left = ~settled
-        _store(result, index[settled],
-               _arrived(state.take(settled), step[settled], gain[settled]))
-        if settled.all():
-            return result
-        index, views, damping, before = index[left], views.take(left), damping[left], gain[left]
-        state, step = state.take(left), step[left]
+        if settled.mean() > _COMPACT or settled.all():
+            left = ~settled
+            _store(result, index[settled],
+                   _arrived(state.take(settled), step[settled], gain[settled]))
+            if not left.any():
+                return result
+            index, views, damping, gain = index[left], views.take(left), damping[left], gain[left]
+            state, step, settled = state.take(left), laid_out(step[left]), settled[left]
         trial = linearise(views, *moved(state.rotation, state.translation_m, step))
-        state, damping = _accept(state, trial, damping, settled[left])
+        state, damping = _accept(state, trial, damping, settled)
+        before = gain
     _store(result, index, state)
     return result
 
@@ -203,14 +212,12 @@ def _arrived(state: Fit, step: np.ndarray, gain: np.ndarray) -> Fit:
 
 def _step(views: Views, state: Fit, damping: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Solve the damped normal equations; also give the decrease they predict."""
-    normal = state.normal
-    if damping is not None:
-        normal = normal + normal * (_DIAGONAL * damping[:, None, None])
-    if len(normal) <= _FEW:
-        step = np.array([lapack.dposv(m, g)[1] for m, g in zip(normal, state.gradient)])
-    else:
-        step = np.linalg.solve(normal, state.gradient[..., None])[..., 0]
+    step = solve_positive(_damped(state.normal, damping), state.gradient)
     return -step, (step * state.gradient).sum(axis=1)
+
+
+def _damped(normal: np.ndarray, damping: np.ndarray | None) -> np.ndarray:
+    return normal if damping is None else normal + normal * (_DIAGONAL * damping[:, None, None])
 
 
 def _newton_step(views: Views, state: Fit, damping: np.ndarray | None
@@ -220,15 +227,14 @@ def _newton_step(views: Views, state: Fit, damping: np.ndarray | None
 
     Elsewhere Newton's method would look for saddles; Gauss-Newton goes down from them.
     """
-    step, gain = _step(views, state, damping)
     extra = curvature(views, state.rotation, state.translation_m, state.residual)
-    normal = state.normal + extra
-    if damping is not None:
-        normal += state.normal * (_DIAGONAL * damping[:, None, None])
-    for i, (matrix, gradient) in enumerate(zip(normal, state.gradient)):
-        _, newton, indefinite = lapack.dposv(matrix, gradient)
-        if not indefinite:
-            step[i], gain[i] = -newton, newton @ gradient
+    whole = state._replace(normal=_damped(state.normal, damping) + extra)
+    step, gain = _step(views, whole, None)
+    indefinite = ~(gain > 0.0)
+    if indefinite.any():
+        safe_step, safe_gain = _step(views, state, damping)
+        step = np.where(indefinite[:, None], safe_step, step)
+        gain = np.where(indefinite, safe_gain, gain)
     return step, gain
 
 
@@ -253,14 +259,11 @@ def moved(rotation: np.ndarray, translation_m: np.ndarray, step: np.ndarray
     exponential map to second order and stays a rotation for steps of any size.
     """
     half = 0.5 * step[:, 3:]
-    cross = (half @ _CROSS).reshape(-1, 3, 3)
+    cross = crosses(half)
     gain = 2.0 / (1.0 + (half * half).sum(axis=1))
-    turn = _EYE + gain[:, None, None] * (cross + cross @ cross)
-    return turn @ rotation, translation_m + step[:, :3]
+    turn = _EYE + gain[:, None, None] * (cross + product(cross, cross))
+    return product(turn, rotation), translation_m + step[:, :3]
 
 
 _EYE = np.eye(3)
 _DIAGONAL = np.eye(6)
-_CROSS = np.zeros((3, 9))  # v @ _CROSS is the cross product matrix of v, by rows
-_CROSS[0, 7], _CROSS[0, 5], _CROSS[1, 2], _CROSS[1, 6], _CROSS[2, 3], _CROSS[2, 1] = (
-    1.0, -1.0, 1.0, -1.0, 1.0, -1.0)
