@@ -99,7 +99,7 @@ class BoxView:
     def outlines(self, camera_from_object: np.ndarray) -> list[Outline]:
         """List the faces that look at the camera and reach into its view."""
         vertices_m = self._in_camera(camera_from_object)
-        found = []
+        found: list[Outline] = []
         for face in self._faces:
             corners_m = vertices_m[list(_FACES[face])]
             if _looks_at_camera(corners_m):
@@ -141,5 +141,7 @@ class BoxView:
 
 
 def _looks_at_camera(corners_m: np.ndarray) -> bool:
-    normal = np.cross(corners_m[1] - corners_m[0], corners_m[2] - corners_m[1])
-    return bool(normal @ corners_m[0] > 0.0)
+    # The normal times the line of sight, written out: np.cross takes 50 us.
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = corners_m[:3].tolist()
+    ux, uy, uz, vx, vy, vz = bx - ax, by - ay, bz - az, cx - bx, cy - by, cz - bz
+    return ax * (uy * vz - uz * vy) + ay * (uz * vx - ux * vz) + az * (ux * vy - uy * vx) > 0.0

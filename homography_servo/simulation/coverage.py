@@ -58,7 +58,7 @@ def polygon_coverage(polygon_px: np.ndarray, region: Region) -> np.ndarray:
 
     """
     start = np.asarray(polygon_px, float) - (region.left - 0.5, region.top - 0.5)
-    step = np.roll(start, -1, axis=0) - start
+    step = np.concatenate([start[1:], start[:1]]) - start
     edge, t_first, t_last = _cut_at_grid(start, step)
     middle = start[edge] + step[edge] * (0.5 * (t_first + t_last))[:, None]
     rise = step[edge, 1] * (t_last - t_first)
@@ -75,8 +75,8 @@ def _running_sum(row: np.ndarray, column: np.ndarray, rise: np.ndarray, inside: 
     areas = np.bincount(np.concatenate([cell, cell + 1]),
                         np.concatenate([rise * (1.0 - inside), rise * inside]),
                         region.height * stride)
-    share = np.cumsum(areas.reshape(region.height, stride), axis=1)[:, :-1]
-    return np.clip(np.abs(share), 0.0, 1.0)
+    share = areas.reshape(region.height, stride).cumsum(axis=1)[:, :-1]
+    return np.minimum(np.abs(share, out=share), 1.0, out=share)
 
 
 def _cut_at_grid(start: np.ndarray, step: np.ndarray
