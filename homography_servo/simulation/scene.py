@@ -83,7 +83,8 @@ class Scene:
         self._still = self._lit(self._blurred(self._raw), self._whole)
         self._print = FacePrint(camera, face_size_m, settings, rngs[1]) \
             if settings.print_contrast > 0.0 else None
-        self._noise = noise or surfaces.NoiseStore(camera.width, camera.height, rngs[2])
+        self._noise = noise  # drawn when it is first needed: that takes a while
+        self._noise_rng = rngs[2]
 
     @property
     def _whole(self) -> Region:
@@ -111,6 +112,9 @@ class Scene:
         present = camera_from_object is not None and box_present(self.settings, time_s)
         pose = camera_from_object if present else None
         clean = self.clean(pose, time_s)
+        if self._noise is None:
+            self._noise = surfaces.NoiseStore(self.camera.width, self.camera.height,
+                                              self._noise_rng)
         noise = self._noise.frame(np.random.default_rng([self._seed, 3, index]))
         image = cv2.addWeighted(clean, 1.0, noise, self.settings.noise_grey, 0.0,
                                 dtype=cv2.CV_8U)
