@@ -31,24 +31,23 @@ class Seen(NamedTuple):
 
 
 def required(values: np.ndarray, limit: float, worst: float,
-             goal_known: bool = False) -> np.ndarray:
+             taught: float | None = None) -> np.ndarray:
     """
     Give the value that each pose needs when larger is better.
 
     Normally the limit. A path that starts below it may leave from there: until it
     has come up to the limit for the first time it must not fall below its start,
-    nor below the worst value that is ever allowed. Where the goal is known to be
-    possible, because the arm stood there when it was taught, the same holds for the
-    end of the path.
+    nor below the worst value that is ever allowed. Where the arm stood at the goal
+    when it was taught, the end of the path may fall to the value that it had there.
     """
     def loosened(end: float) -> float:
         return min(limit, max(end - SLACK, worst))
     fine = values >= limit
     needed = np.where(np.logical_or.accumulate(fine), limit, loosened(float(values[0])))
-    if not goal_known:
+    if taught is None:
         return needed
     still = np.logical_or.accumulate(fine[::-1])[::-1]
-    return np.minimum(needed, np.where(still, limit, loosened(float(values[-1]))))
+    return np.minimum(needed, np.where(still, limit, loosened(taught)))
 
 
 def _check(name: str, values: np.ndarray, needed: np.ndarray,
@@ -61,7 +60,8 @@ def check_field(seen: Seen, settings: FeasibilitySettings, worst_px: float = 0.0
                 goal_known: bool = False) -> Check:
     """Keep all points inside the image."""
     border = seen.border_px.min(axis=1)
-    needed = required(border, settings.field_margin_px, worst_px, goal_known)
+    needed = required(border, settings.field_margin_px, worst_px,
+                      float(border[-1]) if goal_known else None)
 
     def say(k: int) -> str:
         corner = int(np.argmin(seen.border_px[k]))
@@ -77,7 +77,8 @@ def check_facing(seen: Seen, settings: FeasibilitySettings,
                  worst_rad: float = np.pi / 2, goal_known: bool = False) -> Check:
     """Keep the face towards the camera."""
     limit = -np.radians(settings.facing_limit_deg)
-    needed = required(-seen.facing_rad, limit, -worst_rad, goal_known)
+    needed = required(-seen.facing_rad, limit, -worst_rad,
+                      -float(seen.facing_rad[-1]) if goal_known else None)
 
     def say(k: int) -> str:
         degrees = np.degrees(seen.facing_rad[k])
@@ -91,7 +92,8 @@ def check_facing(seen: Seen, settings: FeasibilitySettings,
 def check_mirror(ambiguity: np.ndarray, settings: FeasibilitySettings,
                  goal_known: bool = False) -> Check:
     """Keep the mirror pose apart, where that is asked for."""
-    needed = required(-ambiguity, -settings.ambiguity_max, -1.0, goal_known)
+    needed = required(-ambiguity, -settings.ambiguity_max, -1.0,
+                      -float(ambiguity[-1]) if goal_known else None)
     return _check('mirror', -ambiguity, needed, lambda k: (
         f'the mirror pose would be hard to tell apart (ambiguity {ambiguity[k]:.2f}, '
         f'{-needed[k]:.2f} is allowed)'))
@@ -111,7 +113,8 @@ def check_agreement(poses: np.ndarray, believed: np.ndarray,
 
 
 def judge_joints(robot: Robot, followed: Followed, values: PoseValues,
-                 settings: FeasibilitySettings, led: bool, goal_known: bool
+                 settings: FeasibilitySettings, led: bool,
+                 goal_joints_rad: np.ndarray | None = None
                  ) -> tuple[PoseValues, list[Check]]:
     """
     Add what the joints along the path say to the values, and judge it.
@@ -130,9 +133,13 @@ def judge_joints(robot: Robot, followed: Followed, values: PoseValues,
         reached=followed.reached, joint_index=index, joint_step_rad=step.max(axis=1),
         joint_margin_rad=room.min(axis=1), conditioning=found,
         led=followed.reached & near)
-    checks = [_reach(followed), _limits(robot, joints, values, settings, goal_known),
+    checks = [_reach(followed), _limits(robot, joints, values, settings, goal_joints_rad),
               _steps(robot, step, values, settings)]
-    return values, checks if led else [*checks, _condition(values, settings, goal_known)]
+    if led:
+        return values, checks
+    taught = None if goal_joints_rad is None else float(
+        conditioning(robot, goal_joints_rad[None], settings.conditioning_length_m)[0])
+    return values, [*checks, _condition(values, settings, taught)]
 
 
 def _flips(signed: np.ndarray) -> np.ndarray:
@@ -177,9 +184,11 @@ def _reach(followed: Followed) -> Check:
 
 
 def _limits(robot: Robot, joints: np.ndarray, values: PoseValues,
-            settings: FeasibilitySettings, goal_known: bool) -> Check:
+            settings: FeasibilitySettings, goal_joints_rad: np.ndarray | None) -> Check:
     room, index = values.joint_margin_rad, values.joint_index
-    needed = required(room, settings.joint_margin_rad, 0.0, goal_known)
+    taught = None if goal_joints_rad is None else float(np.minimum(
+        goal_joints_rad - robot.lower_rad, robot.upper_rad - goal_joints_rad).min())
+    needed = required(room, settings.joint_margin_rad, 0.0, taught)
 
     def say(k: int) -> str:
         angle, name = np.degrees(joints[k, index[k]]), robot.joint_names[index[k]]
@@ -191,9 +200,10 @@ def _limits(robot: Robot, joints: np.ndarray, values: PoseValues,
     return _check('joint limits', room, needed, say)
 
 
-def _condition(values: PoseValues, settings: FeasibilitySettings, goal_known: bool) -> Check:
+def _condition(values: PoseValues, settings: FeasibilitySettings,
+               taught: float | None) -> Check:
     found = values.conditioning
-    needed = required(found, settings.conditioning_min, 0.0, goal_known)
+    needed = required(found, settings.conditioning_min, 0.0, taught)
 
     def say(k: int) -> str:
         if found[k] < 0.0:

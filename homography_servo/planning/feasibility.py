@@ -46,8 +46,8 @@ def look(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
 def check_path(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
                robot: Robot | None = None, start_joints_rad: np.ndarray | None = None,
                settings: FeasibilitySettings = FeasibilitySettings(),
-               leading_joints_rad: np.ndarray | None = None, goal_known: bool = False
-               ) -> Verdict:
+               leading_joints_rad: np.ndarray | None = None,
+               goal_joints_rad: np.ndarray | None = None) -> Verdict:
     """
     Judge a path.
 
@@ -68,9 +68,9 @@ def check_path(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
     leading_joints_rad : (N, n) array, optional
         Joints along the path where it was planned in joint space; they lead through
         singularities. By default joints are found by following the poses.
-    goal_known : bool
-        The goal was taught with the arm standing there: the end of the path may be as
-        near to limits as the goal itself, as the start always may.
+    goal_joints_rad : (n,) array, optional
+        Where the arm stood when the goal was taught: the end of the path may be as near
+        to limits as it was there, as the beginning may be as near as the start.
 
     Returns
     -------
@@ -80,7 +80,8 @@ def check_path(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
     """
     poses = _checked(poses, robot, start_joints_rad)
     depth_m = settings.home_depth_m if robot is None else robot.home_depth_m
-    checks, values = _view(poses, camera, object_points_m, depth_m, settings, goal_known)
+    checks, values = _view(poses, camera, object_points_m, depth_m, settings,
+                           goal_joints_rad is not None)
     joints_rad, note = None, ''
     if robot is not None:
         believed = arm_poses(robot, poses, start_joints_rad)
@@ -88,7 +89,7 @@ def check_path(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
         followed = _as_led(leading_joints_rad, poses) if led else follow(
             robot, believed, start_joints_rad,
             (settings.reach_tolerance_m, settings.reach_tolerance_rad))
-        values, more = judge_joints(robot, followed, values, settings, led, goal_known)
+        values, more = judge_joints(robot, followed, values, settings, led, goal_joints_rad)
         checks += [check_agreement(poses, believed, settings), *more]
         joints_rad, note = followed.joints_rad, _arm_note(robot, values)
     return _conclude(checks, values, joints_rad, note)

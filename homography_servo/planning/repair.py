@@ -138,6 +138,8 @@ def _arm_stops(task: Task, count: int) -> list[np.ndarray]:
     rng = np.random.default_rng(task.settings.seed)
     samples = rng.uniform(space.lower_rad, space.upper_rad, (_SAMPLES, len(space.lower_rad)))
     samples = samples[space.free(samples)]
+    calm = space.values(samples).conditioning >= task.settings.lead_below
+    samples = samples[calm] if calm.any() else samples
     if not len(space.goals) or not len(samples):
         return []
     onward = np.linalg.norm(samples[:, None] - space.goals[None], axis=2).min(axis=1)

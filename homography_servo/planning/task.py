@@ -60,7 +60,8 @@ class Task:
     def check(self, proposal: Proposal) -> Verdict:
         """Judge a path in full."""
         return check_path(proposal.poses, self.camera, self.object_points_m, self.robot,
-                          self.joints_rad, self.settings, proposal.joints_rad, self.goal_known)
+                          self.joints_rad, self.settings, proposal.joints_rad,
+                          self.goal_joints_rad)
 
     def path(self, family: str = 'paper', turn: str = 'shorter') -> np.ndarray | Rejected:
         """Interpolate from the start to the goal, with as many poses as asked for."""

@@ -172,6 +172,15 @@ def test_after_the_limit_was_kept_once_it_holds():
                                                                 True]
 
 
+def test_a_taught_goal_may_be_as_near_to_a_limit_as_it_was():
+    values = np.array([12.0, 11.0, 6.0, 5.0])
+    assert (values >= required(values, 10.0, 0.0)).tolist() == [True, True, False, False]
+    assert (values >= required(values, 10.0, 0.0, 5.0)).all()
+    assert (values >= required(values, 10.0, 0.0, 5.5)).tolist() == [True, True, True, False]
+    dip = np.array([12.0, 6.0, 11.0, 5.0])
+    assert (dip >= required(dip, 10.0, 0.0, 5.0)).tolist() == [True, False, True, True]
+
+
 def test_camera_and_arm_that_disagree_are_told():
     half_turn = placed()
     half_turn[:2, :2] *= -1.0

@@ -189,6 +189,16 @@ def test_an_impossible_goal_is_told_at_once(goal, words):
     assert len(found.attempts) == 2 and found.attempts[1].name == NO_OTHER
 
 
+def test_a_taught_goal_loosens_limits_only_to_where_the_arm_stood():
+    """Here the goal can also be held with joint 6 at its very limit: that must not do."""
+    start = np.radians([73.0, -64.0, -18.0, 47.0, 22.0, -64.0])
+    goal = np.radians([-15.0, 17.0, 31.0, -8.0, -43.0, 69.0])
+    ends = [object_pose(ROBOT, joints) for joints in (start, goal)]
+    found = plan(*ends, CAMERA, ROBOT, start, goal_joints_rad=goal)
+    assert found.ok and found.verdict.values.joint_margin_rad.min() >= SETTINGS.joint_margin_rad
+    assert found.joints_rad[-1] == pytest.approx(goal, abs=1e-6)
+
+
 def test_a_start_that_is_bad_is_told_at_once():
     outside = START_RAD + [-0.5, 0.0, 0.0, 0.0, 0.0, 0.0]
     found = planned(outside, GOAL_RAD)
