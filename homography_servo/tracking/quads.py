@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 SMALLER_BY = 2  # the picture is searched at this fraction of its size
+LEAST_IMAGE_PX = 16
 THRESHOLDS = 7
 CANNY_GREY = (30, 70)
 SAME_PX = 4.0
@@ -40,6 +41,8 @@ def list_quads(image: np.ndarray, least_area_px2: float) -> np.ndarray:
 
     """
     height, width = image.shape
+    if min(height, width) < LEAST_IMAGE_PX:
+        return np.zeros((0, 4, 2))
     small = cv2.resize(image, (width // SMALLER_BY, height // SMALLER_BY),
                        interpolation=cv2.INTER_AREA)
     least = max(least_area_px2 / SMALLER_BY ** 2, 30.0)

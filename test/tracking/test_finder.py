@@ -1,0 +1,83 @@
+"""The face is found without being told where it is."""
+
+from face_views import CAMERA
+from face_views import FACE_M
+from face_views import pose
+from homography_servo.result import Rejected
+from homography_servo.simulation.scene import Scene
+from homography_servo.simulation.scene_settings import SceneSettings
+from homography_servo.tracking.finder import find_face
+from homography_servo.tracking.finder import Target
+from homography_servo.tracking.plane import Plane
+from homography_servo.tracking.quads import list_quads
+import numpy as np
+import pytest
+
+TARGET = Target(FACE_M, 0.04, 0.15, 1.5, 0, 0.6)
+PLANE = Plane(CAMERA)
+
+
+def random_pose(rng):
+    return pose(*rng.uniform(-0.15, 0.15, 2), rng.uniform(0.55, 1.0), *rng.uniform(-30, 30, 2),
+                rng.uniform(-60, 60))
+
+
+def found_share(settings, count, plane=PLANE, seed=0):
+    """Look at random views; corners must come in the right order."""
+    rng, found = np.random.default_rng(seed), 0
+    for number in range(count):
+        scene = Scene(CAMERA, FACE_M, 0.04, settings, seed + number)
+        frame = scene.render(random_pose(rng), 0.0, number)
+        face = find_face(frame.image_grey, TARGET, plane)
+        if not isinstance(face, Rejected):
+            found += np.abs(face.fit.corners - frame.true_corners_px).max() < 3.0
+    return found / count
+
+
+def test_the_face_is_found_in_an_empty_world():
+    assert found_share(SceneSettings(shadow=0.4), 15) == 1.0
+
+
+def test_the_face_is_found_among_other_things():
+    assert found_share(SceneSettings(clutter=1.0), 20) >= 0.85
+
+
+def test_a_camera_nobody_calibrated_will_do():
+    assert found_share(SceneSettings(), 10, Plane(None)) >= 0.9
+
+
+@pytest.mark.parametrize('turn', [-80.0, -20.0, 0.0, 45.0, 80.0])
+def test_without_a_hint_the_turn_nearest_to_zero_is_taken(turn):
+    frame = Scene(CAMERA, FACE_M, 0.0, SceneSettings()).render(pose(turn=turn), 0.0, 0)
+    face = find_face(frame.image_grey, TARGET._replace(box_height_m=0.0), PLANE)
+    assert np.abs(face.fit.corners - frame.true_corners_px).max() < 0.3
+
+
+@pytest.mark.parametrize('roll', [0, 1, 2, 3])
+def test_a_hint_decides_the_turn_as_far_as_the_proportions_allow(roll):
+    frame = Scene(CAMERA, FACE_M, 0.0, SceneSettings()).render(pose(turn=30.0), 0.0, 0)
+    hint = np.roll(frame.true_corners_px, roll, axis=0)
+    face = find_face(frame.image_grey, TARGET._replace(box_height_m=0.0), PLANE, hint)
+    order = [0, 2] if roll % 2 else [roll]
+    assert min(np.abs(face.fit.corners - np.roll(frame.true_corners_px, turn, axis=0)).max()
+               for turn in order) < 0.3
+
+
+def test_a_square_out_of_proportion_or_out_of_reach_is_not_the_face():
+    image = np.full((480, 640), 80, np.uint8)
+    image[100:300, 100:300] = 200
+    assert isinstance(find_face(image, TARGET._replace(box_height_m=0.0), PLANE), Rejected)
+    frame = Scene(CAMERA, FACE_M, 0.0, SceneSettings()).render(pose(turn=5.0), 0.0, 0)
+    near = TARGET._replace(box_height_m=0.0, nearest_m=1.0)
+    assert isinstance(find_face(frame.image_grey, near, PLANE), Rejected)
+
+
+def test_quadrilaterals_come_clockwise_and_once():
+    frame = Scene(CAMERA, FACE_M, 0.0, SceneSettings()).render(pose(turn=5.0), 0.0, 0)
+    quads = list_quads(frame.image_grey, 500.0)
+    edge = np.roll(quads, -1, axis=1) - quads
+    after = np.roll(edge, -1, axis=1)
+    assert (edge[..., 0] * after[..., 1] - edge[..., 1] * after[..., 0] > 0.0).all()
+    assert min(np.abs(np.roll(quad, roll, axis=0) - frame.true_corners_px).max()
+               for quad in quads for roll in range(4)) < 4.0
+    assert list_quads(np.zeros((480, 640), np.uint8), 500.0).shape == (0, 4, 2)

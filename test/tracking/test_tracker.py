@@ -1,0 +1,197 @@
+"""The tracker follows, admits what it cannot see, and comes back."""
+
+from dataclasses import replace
+
+from face_views import BENT
+from face_views import CAMERA
+from face_views import FACE_M
+from face_views import pose
+from face_views import RATE_HZ
+from face_views import Show
+from face_views import told
+from homography_servo.geometry.camera import Camera
+from homography_servo.simulation.scene import Scene
+from homography_servo.simulation.scene_settings import SceneSettings
+from homography_servo.tracking.tracker import COASTING
+from homography_servo.tracking.tracker import LOST
+from homography_servo.tracking.tracker import SEARCHING
+from homography_servo.tracking.tracker import Tracker
+from homography_servo.tracking.tracker import TRACKING
+from homography_servo.tracking.tracker_settings import TrackerSettings
+import numpy as np
+import pytest
+
+WORLDS = {
+    'plain': (SceneSettings(), 0.0, CAMERA, 0.04, 0.15),
+    'print': (SceneSettings(print_contrast=100.0), 0.0, CAMERA, 0.05, 0.2),
+    'clutter': (SceneSettings(clutter=1.0, texture_grey=5.0), 0.0, CAMERA, 0.08, 0.6),
+    'light': (SceneSettings(gradient=0.5, flicker=0.1), 0.0, CAMERA, 0.05, 0.2),
+    'soft': (SceneSettings(blur_px=2.0), 0.0, CAMERA, 0.08, 0.3),
+    'bent': (SceneSettings(), 0.0, BENT, 0.05, 0.2),
+    'box': (SceneSettings(shadow=0.5), 0.04, CAMERA, 0.3, 1.0),
+}
+
+
+@pytest.mark.parametrize('name', sorted(WORLDS))
+def test_corners_are_followed_in_every_world(name):
+    scene, height_m, camera, rms_px, most_px = WORLDS[name]
+    show = Show(scene, height_m, camera)
+    assert set(show.run(40)) == {TRACKING}
+    errors = show.errors()
+    assert np.sqrt(np.mean(errors ** 2)) < rms_px
+    assert errors.max() < most_px
+
+
+def test_twenty_pixels_per_picture_are_kept():
+    def motion(index):  # about 20 px per picture at the fastest
+        phase = 2.0 * np.pi * index / 40.0
+        return pose(0.12 * np.sin(phase), 0.05 * np.cos(phase), turn=15.0 + 10.0 * np.sin(phase))
+    show = Show(motion=motion)
+    assert set(show.run(50)) == {TRACKING}
+    assert show.errors().max() < 0.3
+
+
+def test_a_jump_within_the_search_range_is_caught():
+    show = Show(motion=lambda index: pose(0.02 if index > 5 else 0.0, turn=10.0))  # 21 px
+    states = show.run(12)
+    assert states.count(TRACKING) >= 9
+    assert show.errors().max() < 0.3 and states[-1] == TRACKING
+
+
+@pytest.mark.parametrize('kind, index', [('corner', 1), ('side', 2)])
+def test_a_hidden_part_does_not_drag_the_rest(kind, index):
+    scene = SceneSettings(occluder=kind, occluder_index=index, occluder_start_s=0.3,
+                          occluder_duration_s=0.7)
+    show = Show(scene)
+    assert set(show.run(36)) == {TRACKING}
+    hidden = {'corner': [1], 'side': [2, 3]}[kind]
+    errors = np.delete(show.errors(), hidden, axis=1)
+    assert np.sqrt(np.mean(errors[9:30] ** 2)) < 2.0 * np.sqrt(np.mean(errors[:9] ** 2))
+    assert show.errors()[-3:].max() < 0.15
+
+
+def test_a_vanished_face_is_coasting_at_once_lost_soon_and_confirmed_before_it_is_back():
+    show = Show(SceneSettings(vanish_start_s=0.5, vanish_duration_s=0.4))
+    states = show.run(45)
+    gone = next(i for i, truth in enumerate(show.truths) if truth is None)
+    back = next(i for i in range(gone, 45) if show.truths[i] is not None)
+    assert states[:gone] == [TRACKING] * gone
+    assert states[gone] == COASTING and LOST in states[gone:gone + 5]
+    assert all(track.corners_px is None for track in show.tracks[gone:back + 4])
+    assert states[back + 4:] == [TRACKING] * (45 - back - 4)
+    assert show.errors().max() < 0.2
+
+
+def test_an_empty_or_cluttered_world_without_the_face_is_never_tracked():
+    scene = Scene(CAMERA, FACE_M, 0.04, SceneSettings(box_visible=False, texture_grey=5.0))
+    tracker = Tracker(FACE_M, told([[260, 200], [370, 200], [370, 270], [260, 270]]), CAMERA,
+                      0.04)
+    for index in range(8):
+        track = tracker.update(scene.render(None, 0.0, index).image_grey, index / RATE_HZ)
+        assert (track.state, track.corners_px) == (SEARCHING, None)
+        assert track.reason
+
+
+def test_what_is_found_is_trusted_after_five_pictures():
+    scene = Scene(CAMERA, FACE_M, 0.0, SceneSettings())
+    tracker = Tracker(FACE_M, camera=CAMERA)
+    states = [tracker.update(scene.render(pose(turn=8.0), 0.0, i).image_grey, i / RATE_HZ).state
+              for i in range(6)]
+    assert states == [SEARCHING] * 4 + [TRACKING] * 2
+
+
+@pytest.mark.parametrize('turn', [0, 2])
+def test_the_prediction_decides_which_corner_comes_first(turn):
+    scene = Scene(CAMERA, FACE_M, 0.0, SceneSettings())
+    frame = scene.render(pose(turn=5.0), 0.0, 0)
+    wanted = np.roll(frame.true_corners_px, turn, axis=0)
+    track = Tracker(FACE_M, camera=CAMERA).update(frame.image_grey, 0.0, wanted + 3.0)
+    assert track.state == TRACKING
+    assert np.abs(track.corners_px - wanted).max() < 0.2
+
+
+def test_stated_covariance_fits_the_errors():
+    show = Show(SceneSettings(noise_grey=5.0))
+    show.run(60)
+    pulls = [np.linalg.solve(np.linalg.cholesky(track.covariance_px2),
+                             (track.corners_px - truth).ravel())
+             for track, truth in zip(show.tracks, show.truths)]
+    assert 0.6 < np.std(pulls) < 1.4
+
+
+def test_contour_runs_through_the_corners():
+    show = Show()
+    show.run(2)
+    track = show.tracks[-1]
+    distance = np.linalg.norm(track.contour_px[:, None] - track.corners_px, axis=2)
+    assert distance.min(axis=0) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_new_size_starts_anew_and_drops_a_camera_that_does_not_fit():
+    show = Show()
+    show.run(3)
+    track = show.tracker.update(np.full((240, 320), 80, np.uint8), 1.0)
+    assert track.state == SEARCHING and show.tracker.camera is None
+
+
+def test_reset_and_interruption():
+    show = Show()
+    show.run(3)
+    show.tracker.interrupt()
+    assert show.tracker.state == LOST
+    states = [show.tracker.update(show.frame(i).image_grey, i / RATE_HZ).state
+              for i in range(3, 8)]
+    assert states == [LOST] * 4 + [TRACKING]
+    show.tracker.reset()
+    assert show.tracker.state == SEARCHING
+
+
+def test_settings_and_camera_may_change_while_tracking():
+    show = Show()
+    show.run(3)
+    show.tracker.settings = replace(show.tracker.settings, edge_half_px=6)
+    show.tracker.camera = Camera(801.0, 801.0, 319.5, 239.5, 640, 480)
+    for index in range(3, 9):
+        frame = show.frame(index)
+        track = show.tracker.update(frame.image_grey, index / RATE_HZ)
+    assert track.state == TRACKING
+    assert np.abs(track.corners_px - frame.true_corners_px).max() < 0.2
+
+
+def test_the_same_pictures_give_the_same_answer():
+    first, second = Show(seed=4), Show(seed=4)
+    first.run(6)
+    second.run(6)
+    assert np.array_equal(first.tracks[-1].corners_px, second.tracks[-1].corners_px)
+
+
+def test_misuse_is_refused_by_name():
+    with pytest.raises(ValueError, match='size > 0 m'):
+        Tracker((0.1, 0.0))
+    tracker = Tracker(FACE_M)
+    with pytest.raises(ValueError, match='uint8'):
+        tracker.update(np.zeros((48, 64)), 0.0)
+    with pytest.raises(ValueError, match=r'\(4, 2\)'):
+        tracker.update(np.zeros((48, 64), np.uint8), 0.0, np.zeros((3, 2)))
+    with pytest.raises(ValueError, match='polarity'):
+        TrackerSettings(polarity='pink')
+
+
+@pytest.mark.parametrize('spoil', [np.nan, np.inf])
+def test_a_prediction_that_is_not_finite_is_left_out(spoil):
+    show = Show()
+    frame = show.frame(0)
+    track = show.tracker.update(frame.image_grey, 0.0, np.full((4, 2), spoil))
+    assert track.state == TRACKING
+
+
+@pytest.mark.parametrize('image', [
+    np.zeros((480, 640), np.uint8), np.full((480, 640), 255, np.uint8),
+    np.random.default_rng(0).integers(0, 256, (480, 640)).astype(np.uint8),
+    np.zeros((1, 1), np.uint8), np.zeros((3, 2000), np.uint8)])
+def test_no_picture_raises_or_is_taken_for_the_face(image):
+    tracker = Tracker(FACE_M, camera=CAMERA, box_height_m=0.04)
+    for index in range(6):
+        track = tracker.update(image, index / RATE_HZ, np.array(
+            [[300.0, 200.0], [400.0, 200.0], [400.0, 260.0], [300.0, 260.0]]))
+        assert track.corners_px is None and track.reason
