@@ -133,9 +133,9 @@ def compose(parameters: DisplacementParameters) -> np.ndarray:
         With H33 = 1 / divergence, as eq. 15 has it; divide by H33 for eq. 17.
 
     """
-    alpha, beta, gamma, x, y, divergence = (np.asarray(value, float) for value in parameters)
-    if not (divergence != 0.0).all():
-        raise ValueError(f'divergence must not be 0, got {divergence}')
+    alpha, beta, gamma, x, y, divergence = values = _arrays(parameters)
+    if not (divergence != 0.0).all() or any(np.isnan(value).any() for value in values):
+        raise ValueError(f'divergence must not be 0 and nothing nan, got {parameters}')
     homography = rotation_from_angles(alpha, beta, gamma)
     homography[..., 0, 2], homography[..., 1, 2] = x, y
     homography[..., 2, 2] = 1.0 / divergence
@@ -146,9 +146,9 @@ def pose_from_parameters(parameters: DisplacementParameters,
                          home_depth_m: float = 1.0) -> np.ndarray:
     """Give the displacements T_k0 = ``home_from_object`` (..., 4, 4): eqs. 6, 7 and 16."""
     _check_depth(home_depth_m)
-    alpha, beta, gamma, x, y, divergence = (np.asarray(value, float) for value in parameters)
-    if not (divergence > 0.0).all():
-        raise ValueError(f'divergence must be > 0, got {divergence}')
+    alpha, beta, gamma, x, y, divergence = values = _arrays(parameters)
+    if not (divergence > 0.0).all() or not all(np.isfinite(value).all() for value in values):
+        raise ValueError(f'divergence must be > 0 and all finite, got {parameters}')
     origin = np.stack(np.broadcast_arrays(x, y, 1.0 / divergence - 1.0), axis=-1)
     return transform(rotation_from_angles(alpha, beta, gamma), home_depth_m * origin)
 
@@ -228,6 +228,10 @@ def _elements(homography: np.ndarray) -> list[float] | Rejected:
         return Rejected('mirrored homography: the face looks away from the camera '
                         '(determinant < 0)')
     return elements
+
+
+def _arrays(parameters: DisplacementParameters) -> list[np.ndarray]:
+    return [np.asarray(value, float) for value in parameters]
 
 
 def _check_depth(home_depth_m: float) -> None:

@@ -253,4 +253,6 @@ def _twists(twist: np.ndarray) -> np.ndarray:
     twist = np.asarray(twist, float)
     if twist.shape[-1:] != (6,):
         raise ValueError(f'twists must have shape (..., 6), got {twist.shape}')
+    if not np.isfinite(twist).all():
+        raise ValueError('twists must be finite')
     return twist

@@ -172,6 +172,9 @@ def test_misuse_names_what_was_expected():
         decompose(np.eye(2))
     with pytest.raises(ValueError, match='must not be 0'):
         compose(DisplacementParameters(0, 0, 0, 0, 0, 0.0))
+    for function in (compose, pose_from_parameters):
+        with pytest.raises(ValueError, match='got'):
+            function(DisplacementParameters(np.nan, 0, 0, 0, 0, 1.0))
     with pytest.raises(ValueError, match='> 0'):
         pose_from_parameters(DisplacementParameters(0, 0, 0, 0, 0, -1.0))
     with pytest.raises(ValueError, match='home_depth_m'):

@@ -127,4 +127,6 @@ def test_wrong_shapes_name_the_shape_expected():
     with pytest.raises(ValueError, match=r'\(\.\.\., 3, 3\)'):
         rigid.transform(np.eye(2), np.zeros(3))
     with pytest.raises(ValueError, match='finite'):
+        rigid.exp_twist([0.0, 0.0, 0.0, 0.0, 0.0, np.inf])
+    with pytest.raises(ValueError, match='finite'):
         rigid.log_transform(np.full((4, 4), np.nan))
