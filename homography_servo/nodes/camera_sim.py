@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from dataclasses import fields
 from dataclasses import replace
 import time
 from typing import NamedTuple
@@ -42,6 +43,7 @@ from homography_servo.simulation.true_arm import ArmErrors
 from homography_servo.simulation.true_arm import SILENT_S
 from homography_servo.simulation.true_arm import TrueArm
 import numpy as np
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo
@@ -108,7 +110,9 @@ class CameraSim(NodeKit, Node):
         self._waiting: deque[Shot] = deque(maxlen=MOST_WAITING)
         self._sender = None
         self._drops = np.random.default_rng([settings.seed, 9])
+        self._built: tuple = ()
         self._build()
+        self.add_on_set_parameters_callback(self._check_errors)
         self._settings.on_change(self._build)
         self._publish_to(images_qos(settings.reliable_images))
         self.listen(JointState, 'joint_states', self._on_joints)
@@ -121,19 +125,28 @@ class CameraSim(NodeKit, Node):
         self._true_pose = self.create_publisher(PoseStamped, 'object/true_pose', 10)
         self._true_corners = self.create_publisher(PolygonStamped, 'object/true_corners', 10)
 
+    def _check_errors(self, parameters) -> SetParametersResult:
+        """Refuse errors of joints that this robot does not have."""
+        known = {item.name for item in fields(ArmErrors)}
+        news = {item.name: item.value or () for item in parameters if item.name in known}
+        try:
+            problem = replace(self._settings[ArmErrors], **news).problem_with(self._arm.robot)
+        except (ValueError, TypeError) as error:
+            problem = str(error)
+        return SetParametersResult(successful=not problem, reason=problem or '')
+
     def _build(self) -> None:
-        """Make the scene anew, as the settings now say."""
+        """Follow the settings; the scene is made anew only if they say so of it."""
         settings, robot = self._settings[CameraSimSettings], self._arm.robot
-        errors = self._settings[ArmErrors]
-        if errors.problem_with(robot):
-            self.complain(f'{errors.problem_with(robot)}; the errors stay as they were')
-        else:
-            self._arm.errors = errors
-        scale = 1.0 + settings.focal_error
-        true_camera = replace(self._camera, fx=self._camera.fx * scale,
-                              fy=self._camera.fy * scale)
-        self._scene = Scene(true_camera, robot.face_size_m, robot.box_height_m,
-                            self._settings[SceneSettings], settings.seed)
+        self._arm.errors = self._settings[ArmErrors]
+        wanted = (self._settings[SceneSettings], settings.focal_error)
+        if wanted != self._built:  # takes a quarter of a second
+            scale = 1.0 + settings.focal_error
+            true_camera = replace(self._camera, fx=self._camera.fx * scale,
+                                  fy=self._camera.fy * scale)
+            self._scene = Scene(true_camera, robot.face_size_m, robot.box_height_m,
+                                self._settings[SceneSettings], settings.seed)
+            self._built = wanted
         if settings.delay_s > 0.0 and self._sender is None:
             self._sender = self.every(SEND_PERIOD_S, self._send_due)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import threading
 import time
 
+from builtin_interfaces.msg import Time
 import cv2
 from homography_servo.errors import ConfigError
 from homography_servo.errors import HardwareError
@@ -20,6 +21,7 @@ from homography_servo.nodes.kit import OK
 from homography_servo.nodes.kit import WARN
 from homography_servo.nodes.parameters import Parameters
 from homography_servo.nodes.run import EXIT_FAILED
+from homography_servo.nodes.run import EXIT_HARDWARE
 from homography_servo.nodes.run import EXIT_OK
 from homography_servo.nodes.run import run_node
 from homography_servo.places import find_config
@@ -37,13 +39,15 @@ DEFAULT_RATE_HZ = 30.0
 FASTEST_HZ = 1000.0
 REOPEN_S = 2.0
 SETTLE_S = 0.5
+EARLY_SHARE = 0.2
 
 
 @dataclass(frozen=True)
 class VideoCameraSettings(Settings):
     """Where the pictures come from, and how they go out."""
 
-    source: str = text('0', 'number of a camera device, or path of a video file', read_only=True)
+    source: str = text('0', 'path of a camera device (/dev/video0), its number in quotes, or path '
+                       'of a video file', read_only=True)
     camera_file: str = text('', 'calibration in camera_info format; empty: camera_info says '
                             'uncalibrated', read_only=True)
     rate_hz: float = real(0.0, 0.0, FASTEST_HZ, 'Hz', 'pictures per second; 0 is the rate of '
@@ -69,7 +73,7 @@ class VideoCamera(NodeKit, Node):
         super().__init__(self.NAME, **kwargs)
         self._settings = Parameters(self, *self.SETTINGS)
         settings = self._settings[VideoCameraSettings]
-        self._device = settings.source.isdigit()
+        self._device = _device_number(settings.source) is not None
         self._camera = _camera_from(settings.camera_file)
         self._capture = _open(settings.source)
         qos = images_qos(settings.reliable_images)
@@ -77,6 +81,7 @@ class VideoCamera(NodeKit, Node):
         self._info = self.create_publisher(CameraInfo, 'camera_info', qos)
         self._closing = threading.Event()
         self._last_s = self._opened_s = time.monotonic()
+        self._due_s = 0.0
         self._heard_s: float | None = None
         self._reader: threading.Thread | None = None
         if self._device:  # waiting for a device must not hold up services and signals
@@ -92,23 +97,36 @@ class VideoCamera(NodeKit, Node):
         return wanted_hz or (file_hz if usable else DEFAULT_RATE_HZ)
 
     def _read_device(self) -> None:
-        wanted_hz = self._settings[VideoCameraSettings].rate_hz
-        pause_s = 1.0 / wanted_hz if wanted_hz else 0.0
         read_one = self.guarded(self._next_of_device)
         while not self._closing.is_set():
-            began_s = time.monotonic()
             read_one()
-            self._closing.wait(max(0.0, pause_s - (time.monotonic() - began_s)))
 
     def _next_of_device(self) -> None:
-        good, pixels = self._capture.read()
-        if good:
-            self._publish(pixels)
-            return
+        """Take every picture, lest old ones queue up, and publish those that are due."""
+        if self._capture.grab():
+            stamp, now_s = self.get_clock().now().to_msg(), time.monotonic()
+            if not self._is_due(now_s):
+                self._last_s = now_s
+                return
+            good, pixels = self._capture.retrieve()
+            if good:
+                self._publish(pixels, stamp)
+                return
         self.complain('the camera gives no picture', key='read')
         self._closing.wait(0.1)
         if time.monotonic() - max(self._last_s, self._opened_s) > REOPEN_S:
             self._reopen()
+
+    def _is_due(self, now_s: float) -> bool:
+        """Tell whether to publish a picture, so that the rate is kept in the mean."""
+        wanted_hz = self._settings[VideoCameraSettings].rate_hz
+        if not wanted_hz:
+            return True
+        early_s = EARLY_SHARE / wanted_hz  # the device's clock is not ours
+        if now_s < self._due_s - early_s:
+            return False
+        self._due_s = max(self._due_s, now_s - early_s) + 1.0 / wanted_hz
+        return True
 
     def _reopen(self) -> None:
         """Open the device anew: one that was unplugged never comes back by itself."""
@@ -136,14 +154,22 @@ class VideoCamera(NodeKit, Node):
             return
         good, pixels = self._capture.read()
         if not good and settings.loop and self.counts['images']:
-            self._capture.release()
-            self._capture = _open(settings.source)
-            self.count('loops')
-            good, pixels = self._capture.read()
+            good, pixels = self._first_again(settings.source)
         if good:
-            self._publish(pixels)
+            self._publish(pixels, self.get_clock().now().to_msg())
         else:
             self._at_end(settings)
+
+    def _first_again(self, source: str) -> tuple[bool, np.ndarray | None]:
+        self._capture.release()
+        try:
+            self._capture = _open(source)
+        except HardwareError as error:  # the file has gone
+            self.complain(str(error))
+            self.finish(EXIT_HARDWARE)
+            return False, None
+        self.count('loops')
+        return self._capture.read()
 
     def _at_end(self, settings: VideoCameraSettings) -> None:
         if settings.on_end == 'exit' and self.exit_code is None:
@@ -151,11 +177,13 @@ class VideoCamera(NodeKit, Node):
             self.get_logger().info(f'{settings.source} is at its end after {shown} images')
             self.finish(EXIT_OK if shown else EXIT_FAILED)
 
-    def _publish(self, pixels: np.ndarray) -> None:
-        header = Header(stamp=self.get_clock().now().to_msg(),
-                        frame_id=self._settings[VideoCameraSettings].frame_id)
-        if self._settings[VideoCameraSettings].encoding == 'mono8' and pixels.ndim == 3:
+    def _publish(self, pixels: np.ndarray, stamp: Time) -> None:
+        settings = self._settings[VideoCameraSettings]
+        header = Header(stamp=stamp, frame_id=settings.frame_id)
+        if settings.encoding == 'mono8' and pixels.ndim == 3:
             pixels = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY)
+        elif settings.encoding == 'bgr8' and pixels.ndim == 2:
+            pixels = cv2.cvtColor(pixels, cv2.COLOR_GRAY2BGR)
         self._image.publish(image_msg(pixels, header))
         self._info.publish(self._info_msg(pixels, header))
         self.count('images')
@@ -186,7 +214,8 @@ class VideoCamera(NodeKit, Node):
         self._closing.set()
         if self._reader is not None:
             self._reader.join(0.5)
-        self._capture.release()
+        if self._reader is None or not self._reader.is_alive():
+            self._capture.release()  # not under the feet of a read that hangs
 
 
 def _camera_from(name: str):
@@ -198,12 +227,20 @@ def _camera_from(name: str):
         raise ConfigError(VideoCamera.NAME, 0, 'camera_file', str(error)) from error
 
 
+def _device_number(source: str) -> int | None:
+    """Give the number of a camera device named by it or by its path; None for a file."""
+    digits = source.removeprefix('/dev/video')
+    return int(digits) if digits.isascii() and digits.isdigit() else None
+
+
 def _open(source: str) -> cv2.VideoCapture:
-    if source.isdigit():
-        if not Path(f'/dev/video{source}').exists():
-            raise HardwareError(f'no camera {source}: /dev/video{source} does not exist; plug it '
+    number = _device_number(source)
+    if number is not None:
+        if not Path(f'/dev/video{number}').exists():
+            raise HardwareError(f'no camera {number}: /dev/video{number} does not exist; plug it '
                                 'in or give another number or a video file as `source`')
-        capture, what = cv2.VideoCapture(int(source)), f'camera {source}'
+        capture, what = cv2.VideoCapture(number), f'camera {number}'
+        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
     else:
         path = Path(source).expanduser()
         if not path.is_file():
