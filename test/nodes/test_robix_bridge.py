@@ -292,7 +292,7 @@ def test_two_who_command_are_held_and_one_who_restarts_is_not(desk):
         desk.commands.publish(command([0.01 * k] * 6))
         desk.probe.spin_for(0.03)
     desk.probe.node.destroy_publisher(desk.commands)
-    again = desk.probe.publisher(JointState, 'joint_commands', 1)
+    again = desk.commands = desk.probe.publisher(JointState, 'joint_commands', 1)
     for k in range(12):
         again.publish(command([0.1 - 0.01 * k] * 6))
         desk.probe.spin_for(0.03)
@@ -304,6 +304,7 @@ def test_two_who_command_are_held_and_one_who_restarts_is_not(desk):
         other.publish(command([-0.1] * 6))
         desk.probe.spin_for(0.02)
     desk.until('HOLD: two publishers command at the same time', 2.0)
+    desk.probe.node.destroy_publisher(other)
     desk.until('IDLE', 5.0)
 
 
