@@ -9,6 +9,7 @@ time, joints are rounded to servo units. Faults are switched on by attributes.
 
 from __future__ import annotations
 
+from copy import copy
 import heapq
 import math
 from typing import Any, Callable
@@ -33,6 +34,7 @@ class CubicMotion:
 
     def __init__(self, joints_rad: np.ndarray) -> None:
         joints = np.array(joints_rad, dtype=float)
+        self._before: CubicMotion | None = None
         self._start_s = 0.0
         self._times_s = np.array([0.0, 1e-3])
         self._points = np.array([joints, joints])
@@ -43,6 +45,8 @@ class CubicMotion:
         return self._both(time_s)[0]
 
     def _both(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
+        if time_s < self._start_s and self._before is not None:
+            return self._before._both(time_s)
         time_s = float(np.clip(time_s - self._start_s, 0.0, self._times_s[-1]))
         k = min(int(np.searchsorted(self._times_s, time_s, 'right')), len(self._times_s) - 1)
         span = self._times_s[k] - self._times_s[k - 1]
@@ -56,6 +60,8 @@ class CubicMotion:
     def go(self, command: Command, time_s: float, decel_rad_s2: np.ndarray) -> None:
         """Take a command; a stop brakes with the joints' deceleration."""
         here, speed = self._both(time_s)
+        self._before = copy(self)  # what was so until now
+        self._before._before = None
         if command.joints_rad is None:
             span = max(float((np.abs(speed) / decel_rad_s2).max()), 1e-3)
             command = Command.to(here + 0.5 * speed * span, span)
@@ -92,6 +98,7 @@ class ServoWorld:
         self.measure, self.measure_moving = measure, False
         self.see, self.feel, self.obey = True, True, True
         self.now_s, self.stamp_offset_s = 100.0, 1e6
+        self.lag_s = 0.0  # by which images are older than their stamps say
         self.commands: list[tuple[float, Command]] = []
         self.states: list[tuple[float, str]] = []
         self.trace: list[tuple[np.ndarray, np.ndarray]] = []  # true pose, joints, per frame
@@ -165,11 +172,12 @@ class ServoWorld:
                                   self.now_s + self.stamp_offset_s, self.now_s)
 
     def _frame(self) -> None:
-        true_pose, stamp_s = self.true_pose, self.now_s + self.stamp_offset_s
+        true_pose = self.truth.pose(self.joints_at(self.now_s - self.lag_s))
+        stamp_s = self.now_s + self.stamp_offset_s
         self.trace.append((true_pose, self.joints_at(self.now_s)))
         if not self.see:
             return
-        before, after = (self._motion.at(self.now_s + d) for d in (-0.02, 0.02))
+        before, after = (self._motion.at(self.now_s - self.lag_s + d) for d in (-0.02, 0.02))
         moving = bool(np.abs(after - before).max() > CLEARLY_MOVING_RAD)
         seen = self.measure(true_pose) if self.measure_moving or not moving \
             else (true_pose, 1e-6 * np.eye(6))

@@ -10,13 +10,15 @@ extended Kalman filter over that error. Two things make it fit for planes:
   are the measurement. Both mirror poses of a plane explain nearly the same corners,
   so a flip in the measured pose does not disturb the filter; and the information of
   a look is taken at the filter's estimate, not at the noisy pose of one look.
-- The error is allowed to drift in proportion to the motion between looks, and the
-  covariance grows when looks contradict it, so that a wrong model is followed.
+- The error is allowed to drift in proportion to the motion between looks, and when
+  looks contradict it the whole object may have moved, so that a wrong model, a pushed
+  camera or late images are followed without spoiling what is known of the joints.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from homography_servo.geometry.rigid import skew
 from homography_servo.planning.arm_model import BodyModel
@@ -29,7 +31,7 @@ _YZX, _ZXY = [1, 2, 0], [2, 0, 1]
 ITERATIONS = 3
 LARGE_CHANGE = 1e-3  # m or rad: the next iteration starts from new derivatives
 WIDEN_ABOVE = 4.0  # mean squared surprise: twice the expected deviation
-FORGET_ABOVE = 25.0
+DOUBT_ABOVE = 25.0
 ARM_LENGTH_M = 0.3  # a rotation and a translation of the object compare by this length
 
 
@@ -95,6 +97,15 @@ def look_from_pose(home_from_object: np.ndarray, covariance: np.ndarray, points_
     return Look(rays, spread + np.trace(spread) / 6.0 * blind)
 
 
+class _Expected(NamedTuple):
+    """What a look should show, and how that changes."""
+
+    rays: np.ndarray  # (2N,)
+    by_error: np.ndarray  # (2N, size) per change of the model's error
+    by_twist: np.ndarray  # (2N, 6) per twist of the object
+    pose: np.ndarray  # (4, 4)
+
+
 class LookFilter:
     """
     The model's error and how well it is known.
@@ -151,12 +162,17 @@ class LookFilter:
         _, sensitivity = self.model.expect(setpoint)
         return sensitivity @ self._covariance @ sensitivity.T
 
+    @property
+    def agrees(self) -> bool:
+        """Tell whether the last look said what the looks before let expect."""
+        return self.surprise <= WIDEN_ABOVE and not self._doubted
+
     def update(self, look: Look, setpoint: np.ndarray) -> bool:
         """
         Take in one look at the object while the model was at a setpoint.
 
         A look that contradicts all before it is left out once; when the next one
-        does so too, what was known is forgotten.
+        does so too, it is followed.
 
         Returns
         -------
@@ -164,11 +180,11 @@ class LookFilter:
             Whether the look was taken.
 
         """
-        rays, by_error, pose = self._expect(self.model, setpoint)
-        self._drift_to(setpoint, pose)
-        if not self._believes(look, rays, by_error):
+        expected = self._expect(self.model, setpoint)
+        self._drift_to(setpoint, expected.pose)
+        if not self._believes(look, expected):
             return False
-        self._correct(look, setpoint, rays, by_error)
+        self._correct(look, setpoint, expected)
         self.looks += 1
         return True
 
@@ -178,13 +194,13 @@ class LookFilter:
         shift = by_twist @ twist
         return Look(look.rays, look.covariance + np.outer(shift, shift))
 
-    def _correct(self, look: Look, setpoint: np.ndarray, rays: np.ndarray,
-                 by_error: np.ndarray) -> None:
+    def _correct(self, look: Look, setpoint: np.ndarray, expected: _Expected) -> None:
         change, model = np.zeros(len(self._covariance)), self.model
         for iteration in range(ITERATIONS):
             if iteration:
-                rays, by_error, _ = self._expect(model, setpoint)
-            innovation = look.rays - rays + by_error @ change
+                expected = self._expect(model, setpoint)
+            by_error = expected.by_error
+            innovation = look.rays - expected.rays + by_error @ change
             gain = self._gain(look, by_error)
             step = gain @ innovation - change
             change = change + step
@@ -201,25 +217,21 @@ class LookFilter:
         spread = by_error @ self._covariance @ by_error.T + look.covariance
         return np.linalg.solve(spread, by_error @ self._covariance).T
 
-    def _expect(self, model: BodyModel, setpoint: np.ndarray
-                ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _expect(self, model: BodyModel, setpoint: np.ndarray) -> _Expected:
         pose, sensitivity = model.expect(setpoint)
         rays, by_twist = rays_of(pose, self._points_m, self._home_depth_m)
-        return rays, by_twist @ sensitivity, pose
+        return _Expected(rays, by_twist @ sensitivity, by_twist, pose)
 
     def _drift_to(self, setpoint: np.ndarray, pose: np.ndarray) -> None:
         if self._last_setpoint is not None and self._drift > 0.0:
             motion = displacement(self.pose(self._last_setpoint), pose)
             moved_m, turned_rad = np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])
             size_m = self._drift * (moved_m + ARM_LENGTH_M * turned_rad)
-            sigma = np.array([size_m] * 3 + [size_m / ARM_LENGTH_M] * 3)
-            left = np.eye(6)  # the change of L for a twist of the object
-            left[:3, 3:] = skew(pose[:3, 3])
-            self._covariance[:6, :6] += (left * sigma ** 2) @ left.T
+            self._loosen(np.array([size_m] * 3 + [size_m / ARM_LENGTH_M] * 3), pose)
         self._last_setpoint = np.array(setpoint, dtype=float)
 
-    def _believes(self, look: Look, rays: np.ndarray, by_error: np.ndarray) -> bool:
-        innovation = look.rays - rays
+    def _believes(self, look: Look, expected: _Expected) -> bool:
+        innovation, by_error = look.rays - expected.rays, expected.by_error
         spread = by_error @ self._covariance @ by_error.T + look.covariance
         squared = float(innovation @ np.linalg.solve(spread, innovation))
         self.surprise = squared / len(innovation)
@@ -227,11 +239,15 @@ class LookFilter:
         doubted, self._doubted = self._doubted, False
         if self.surprise <= WIDEN_ABOVE or not self.looks:
             return True
-        if self.surprise <= FORGET_ABOVE:
-            self._covariance *= self.surprise
-            return True
-        if not doubted:
+        if self.surprise > DOUBT_ABOVE and not doubted:
             self._doubted = True
             return False
-        self._covariance = np.diag(self.model.variances(self._prior))
+        moved, *_ = np.linalg.lstsq(expected.by_twist, innovation, rcond=None)
+        self._loosen(np.abs(moved), expected.pose)
         return True
+
+    def _loosen(self, sigma: np.ndarray, pose: np.ndarray) -> None:
+        """Let the object be elsewhere by this much (6,); joints and grip stay as known."""
+        left = np.eye(6)  # the change of L for a twist of the object
+        left[:3, 3:] = skew(pose[:3, 3])
+        self._covariance[:6, :6] += (left * sigma ** 2) @ left.T

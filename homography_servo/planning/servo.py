@@ -44,6 +44,7 @@ ARRIVED_RAD = 1.2e-3  # a little over one unit of a hobby servo
 SHORTEST_MOVE_S = 0.04
 OVERDUE_S = 1.0
 RETRY_S = 1.0
+GROWN = 1.2  # an error counts as larger than before from this factor on
 FLOW_REFRESH_S = 0.1  # a stream goes on without looks until vision is lost
 FLOW_LAST_S = 0.12  # the end of the way is left alone
 FLOW_AHEAD_S = 0.05  # how far joints are extrapolated to the time of an image
@@ -293,14 +294,16 @@ class Servo:
         over = errors_of(twist).over(allowed)
         unsure = sigmas_of(self.filter.covariance(joints_rad)).over(allowed)
         self._report(twist, unsure)
-        sure = unsure <= self.settings.sure_share
+        # Looks that contradict each other come from an arm or a camera that lags behind.
+        agrees = self.filter.agrees
+        sure = agrees and unsure <= self.settings.sure_share
         enough = self._attempt.looks >= (self.settings.final_looks if last else 1)
         if over <= 1.0 and sure and enough:
             self._reached(now_s)
-        elif over > 1.0 + 2.0 * unsure or (over > 1.0 and sure):
+        elif agrees and (over > 1.0 + 2.0 * unsure or (over > 1.0 and sure)):
             self._move(now_s, over)
         elif self._attempt.looks >= self.settings.looks_max:
-            self._give_up_on_noise(unsure)
+            self._give_up(unsure, agrees)
 
     def _pass_by(self, joints_rad: np.ndarray, here: np.ndarray, now_s: float) -> None:
         """Go through a singularity as planned; what looks say about it cannot be acted on."""
@@ -414,7 +417,7 @@ class Servo:
 
     def _move(self, now_s: float, over: float) -> None:
         attempt = self._attempt
-        attempt.grown = attempt.grown + 1 if over > attempt.last_over else 0
+        attempt.grown = attempt.grown + 1 if over > GROWN * attempt.last_over else 0
         attempt.last_over = over
         if attempt.grown >= self.settings.growth_max:
             self._end(FAILED, f'the error at pose {attempt.index + 1} grew in '
@@ -465,11 +468,15 @@ class Servo:
         self.state, self.reason = MOVING, ''
         self._pending = Command.to(step.joints_rad, time_s)
 
-    def _give_up_on_noise(self, unsure: float) -> None:
-        share = self.settings.sure_share
-        self._end(FAILED, f'pose {self._attempt.index + 1} is known only to {unsure:.2f} of the '
-                  f'tolerance after {self._attempt.looks} looks, {share:.2f} is asked: '
-                  'the tolerance cannot be reached with this noise')
+    def _give_up(self, unsure: float, agrees: bool) -> None:
+        where = f'pose {self._attempt.index + 1}'
+        looks, share = self._attempt.looks, self.settings.sure_share
+        self._end(FAILED, (
+            f'{where} is known only to {unsure:.2f} of the tolerance after {looks} looks, '
+            f'{share:.2f} is asked: the tolerance cannot be reached with this noise')
+            if agrees else (
+            f'{looks} looks at {where} contradict each other although the arm stands: the '
+            'camera lags behind, or something else moves the object'))
 
     def _end(self, state: str, reason: str, stop: bool = True) -> None:
         self._flow = None

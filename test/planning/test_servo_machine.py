@@ -261,3 +261,12 @@ def test_looks_during_motion_are_not_used():
     run.finish()
     assert run.servo.state == DONE
     assert all(e < bound for e, bound in zip(final_errors(run), FINAL))
+
+
+@pytest.mark.parametrize('lag_s', (0.05, 0.15))
+def test_images_older_than_their_stamps_do_not_lead_astray(lag_s):
+    run = world(seed=5)
+    run.lag_s, run.measure_moving = lag_s, True
+    run.finish()
+    assert run.servo.state == DONE, run.servo.state_text
+    assert all(e < bound for e, bound in zip(final_errors(run), FINAL))
