@@ -28,26 +28,38 @@ class Model(NamedTuple):
     distort: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
-def _radial_tangential(rays: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    k1, k2, p1, p2, k3, k4, k5, k6 = k
-    x, y = rays[..., 0], rays[..., 1]
-    s = x * x + y * y
+def _plumb_bob(rays: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    k1, k2, p1, p2, k3 = (*k.tolist(), 0.0)[:5]
+    square = rays * rays
+    s = square[..., 0] + square[..., 1]
+    gain = 1.0 + s * (k1 + s * (k2 + s * k3))
+    slope = k1 + s * (2.0 * k2 + s * (3.0 * k3))
+    return _bent(rays, square, s, gain, slope, p1, p2)
+
+
+def _rational_polynomial(rays: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    k1, k2, p1, p2, k3, k4, k5, k6 = k.tolist()
+    square = rays * rays
+    s = square[..., 0] + square[..., 1]
     above, below = 1 + s * (k1 + s * (k2 + s * k3)), 1 + s * (k4 + s * (k5 + s * k6))
     gain = above / below
-    # Derivative of the gain by the squared radius.
     slope = (k1 + s * (2 * k2 + 3 * s * k3) - gain * (k4 + s * (2 * k5 + 3 * s * k6))) / below
-    distorted = np.stack([x * gain + 2 * p1 * x * y + p2 * (s + 2 * x * x),
-                          y * gain + p1 * (s + 2 * y * y) + 2 * p2 * x * y], axis=-1)
-    mixed = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
-    jacobian = np.stack([gain + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x, mixed,
-                         mixed, gain + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x], axis=-1)
-    return distorted, jacobian.reshape(*x.shape, 2, 2)
+    return _bent(rays, square, s, gain, slope, p1, p2)
 
 
-def _plumb_bob(rays: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    padded = np.zeros(8)
-    padded[:len(k)] = k
-    return _radial_tangential(rays, padded)
+def _bent(rays: np.ndarray, square: np.ndarray, s: np.ndarray, gain: np.ndarray,
+          slope: np.ndarray, p1: float, p2: float) -> tuple[np.ndarray, np.ndarray]:
+    """Apply a radial gain, whose derivative by the squared radius s is slope, and decentring."""
+    x, y = rays[..., 0], rays[..., 1]
+    cross = x * y
+    distorted = np.empty_like(rays)
+    distorted[..., 0] = x * gain + 2 * p1 * cross + p2 * (s + 2 * square[..., 0])
+    distorted[..., 1] = y * gain + p1 * (s + 2 * square[..., 1]) + 2 * p2 * cross
+    jacobian = np.empty((*rays.shape, 2))
+    jacobian[..., 0, 1] = jacobian[..., 1, 0] = 2 * (cross * slope + p1 * x + p2 * y)
+    jacobian[..., 0, 0] = gain + 2 * (square[..., 0] * slope + p1 * y + 3 * p2 * x)
+    jacobian[..., 1, 1] = gain + 2 * (square[..., 1] * slope + 3 * p1 * y + p2 * x)
+    return distorted, jacobian
 
 
 def _equidistant(rays: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -68,7 +80,7 @@ def _equidistant(rays: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 MODELS: dict[str, Model] = {
     'plumb_bob': Model((0, 4, 5), _plumb_bob),
-    'rational_polynomial': Model((0, 8), _radial_tangential),
+    'rational_polynomial': Model((0, 8), _rational_polynomial),
     'equidistant': Model((4,), _equidistant),
 }
 
@@ -100,9 +112,8 @@ def undistort(model: Model, distorted: np.ndarray, k: np.ndarray) -> np.ndarray:
             rays = rays + step
             if not np.any(np.abs(step) > _TOLERANCE):
                 break
-        bent, _ = model.distort(rays, k)
-        good = (np.abs(bent - distorted) < 1e-9).all(axis=-1)
-    return np.where(good[..., None], rays, np.inf)
+        arrived = (np.abs(step) <= _TOLERANCE).all(axis=-1, keepdims=True)
+    return np.where(arrived, rays, np.inf)
 
 
 def reach(model: Model, k: np.ndarray) -> float:
@@ -142,5 +153,8 @@ def _first_guess(model: Model, distorted: np.ndarray) -> np.ndarray:
 
 def _solve_2x2(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     a, b, c, d = (matrix[..., i, j] for i in (0, 1) for j in (0, 1))
-    x, y = right[..., 0], right[..., 1]
-    return np.stack([d * x - b * y, a * y - c * x], axis=-1) / (a * d - b * c)[..., None]
+    x, y, scale = right[..., 0], right[..., 1], 1.0 / (a * d - b * c)
+    solution = np.empty_like(right)
+    solution[..., 0] = (d * x - b * y) * scale
+    solution[..., 1] = (a * y - c * x) * scale
+    return solution
