@@ -21,9 +21,11 @@ from homography_servo.robot.device import Device
 from homography_servo.robot.faults import Fault
 from homography_servo.robot.faults import FaultyLine
 from homography_servo.robot.transport import CHUNK
+from homography_servo.robot.transport import open_transport
 from homography_servo.robot.transport import Transport
 
 BUSY_S, QUIET_S = 0.002, 0.02  # how long it sleeps at most
+REOPEN_S = 0.2  # between tries to open a real port that is gone
 
 
 class PtyPort:
@@ -89,6 +91,58 @@ class PtyPort:
         self.unplug()
 
 
+class RealPort:
+    """
+    The device's end of a real line, opened again when it comes back.
+
+    Parameters
+    ----------
+    url : str
+        Device name or URL.
+    baud : int
+        Line speed.
+
+    """
+
+    def __init__(self, url: str, baud: int) -> None:
+        self.path = url
+        self._baud = baud
+        self._transport: Transport | None = None
+        self.plug()
+
+    def plug(self) -> None:
+        """Open it; LinkError says why that fails."""
+        self._transport = open_transport(self.path, self._baud)
+
+    def unplug(self) -> None:
+        """Close it, as if the cable were pulled."""
+        if self._transport:
+            self._transport.close()
+        self._transport = None
+
+    def write(self, data: bytes) -> int:
+        """Send what fits."""
+        return self._transport.write(data) if self._transport else 0
+
+    def read(self) -> bytes:
+        """Give what the host has sent; LinkError while the port is gone."""
+        try:
+            if self._transport is None:
+                self.plug()
+            return self._transport.read()
+        except LinkError:
+            self.unplug()
+            raise
+
+    def fileno(self) -> int | None:
+        """Give the file descriptor, None where there is none."""
+        return self._transport.fileno() if self._transport else None
+
+    def close(self) -> None:
+        """Release the port."""
+        self.unplug()
+
+
 class Log:
     """Write the time and the raw bytes of what was heard, one line each; a full disk ends it."""
 
@@ -122,7 +176,7 @@ class Emulator:
     ----------
     device : Device
         Who answers.
-    port : PtyPort or Transport
+    port : PtyPort or RealPort
         Where.
     faults : list of Fault
         What goes wrong, in seconds from the start.
@@ -135,7 +189,7 @@ class Emulator:
 
     """
 
-    def __init__(self, device: Device, port: PtyPort | Transport,
+    def __init__(self, device: Device, port: PtyPort | RealPort,
                  faults: list[Fault] | None = None, log: str | Path | None = None, seed: int = 0,
                  baud: int = 0, clock: Callable[[], float] = time.monotonic) -> None:
         self.device = device
@@ -209,18 +263,24 @@ class Emulator:
             self.port.unplug()
         elif not out and not self._plugged:
             self._plugged = True
-            self.port.plug()
+            self._plug()
         frozen = self.line.active('freeze', age_s)
         servo = int(frozen.value) - 1 if frozen else -1
         if 0 <= servo < self.device.machine.servos and \
                 servo not in self.device.machine.frozen:
             self.device.machine.freeze(servo, self._clock())
 
+    def _plug(self) -> None:
+        try:
+            self.port.plug()
+        except LinkError:
+            pass  # reading tries again
+
     def _read(self) -> bytes:
         try:
             return self.port.read()
         except (OSError, LinkError):
-            self._stop.wait(0.05)  # a real port that is gone: stay, it may come back
+            self._stop.wait(REOPEN_S)
             return b''
 
     def _write(self, data: bytes) -> None:

@@ -11,9 +11,9 @@ from homography_servo.errors import LinkError
 from homography_servo.robot.device import Device
 from homography_servo.robot.emulator import Emulator
 from homography_servo.robot.emulator import PtyPort
+from homography_servo.robot.emulator import RealPort
 from homography_servo.robot.faults import FAULTS
 from homography_servo.robot.faults import parse_fault
-from homography_servo.robot.transport import open_transport
 
 _EPILOG = """example:
   robix_emulator --link /tmp/robix --log heard.txt --fault drop=0.05 --fault unplug@20-23
@@ -60,7 +60,7 @@ def main(args: Sequence[str] | None = None) -> int:
               file=sys.stderr)
         return 2
     try:
-        port = open_transport(options.port, options.baud or 115200) if options.port \
+        port = RealPort(options.port, options.baud or 115200) if options.port \
             else PtyPort(options.link)
         emulator = Emulator(Device(options.servos, tick_s=options.tick), port, options.fault,
                             options.log, options.seed, 0 if options.port else options.baud)
@@ -69,7 +69,7 @@ def main(args: Sequence[str] | None = None) -> int:
         return 3
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: emulator.end())
-    print(options.port or port.path, flush=True)
+    print(port.path, flush=True)
     emulator.run()
     return 0
 

@@ -16,6 +16,7 @@ from homography_servo.robot.driver import ArmDriver
 from homography_servo.robot.driver import DriverSettings
 from homography_servo.robot.emulator import Emulator
 from homography_servo.robot.emulator import PtyPort
+from homography_servo.robot.emulator import RealPort
 from homography_servo.robot.emulator_main import main
 from homography_servo.robot.faults import Fault
 from homography_servo.robot.faults import FAULTS
@@ -143,6 +144,31 @@ def test_the_port_goes_away_and_comes_back_under_its_name(tmp_path):
     transport.close()
     open_transport(str(tmp_path / 'robix'), 115200).close()
     port.close()
+
+
+def test_it_serves_a_real_port_and_opens_it_again_when_it_comes_back(tmp_path):
+    cable = PtyPort(tmp_path / 'tty')  # its other end is the host's
+    emulator = Emulator(Device(), RealPort(str(tmp_path / 'tty'), 115200))
+
+    def answer(request):
+        data, until = b'', time.monotonic() + 5.0
+        while b'HELLO' not in data and time.monotonic() < until:
+            if b'READY' in data or not data:
+                cable.write(request)
+            emulator.turn()
+            data += cable.read()
+        return data
+
+    assert b'HELLO RBX/1 6' in answer(Request(1, '!hello').encode())
+    cable.unplug()
+    emulator.turn()
+    cable.plug()
+    assert b'HELLO RBX/1 6' in answer(Request(2, '!hello').encode())
+    now = time.monotonic() - emulator._start_s
+    emulator.line.faults = [Fault('unplug', 1.0, now, now + 0.2)]
+    assert b'HELLO RBX/1 6' in answer(Request(3, '!hello').encode())
+    emulator.port.close()
+    cable.close()
 
 
 def test_a_full_disk_ends_the_log_only():
