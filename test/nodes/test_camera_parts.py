@@ -8,7 +8,10 @@ from homography_servo.errors import ConfigError
 from homography_servo.errors import HardwareError
 from homography_servo.nodes import video_camera
 from homography_servo.nodes.camera_sim import CameraSim
+from homography_servo.nodes.conversions import grey_from_image
+from homography_servo.nodes.conversions import joint_state_msg
 from homography_servo.nodes.conversions import pixels_from_image
+from homography_servo.nodes.conversions import points_from_polygon
 from homography_servo.nodes.run import EXIT_HARDWARE
 from homography_servo.nodes.run import EXIT_OK
 from homography_servo.nodes.video_camera import VideoCamera
@@ -16,6 +19,7 @@ from homography_servo.simulation.scene_settings import SceneSettings
 import numpy as np
 import pytest
 from rclpy.parameter import Parameter
+from std_msgs.msg import Header
 
 PICTURE = np.full((4, 6, 3), (250, 120, 10), np.uint8)
 
@@ -76,6 +80,37 @@ def test_a_change_is_taken_as_a_whole_or_not_at_all(make):
     answer = node.set_parameters_atomically([
         Parameter('noise_grey', value=9.0), Parameter('joint_zero_error_rad', value=[0.1] * 5)])
     assert not answer.successful and node._scene.settings.noise_grey == 3.0
+
+
+def centre_and_area(polygon: np.ndarray) -> tuple[np.ndarray, float]:
+    """Compute centroid and area of a polygon (N, 2) by the shoelace formula."""
+    following = np.roll(polygon, -1, axis=0)
+    cross = polygon[:, 0] * following[:, 1] - following[:, 0] * polygon[:, 1]
+    centre = ((polygon + following) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum())
+    return centre, abs(cross.sum()) / 2.0
+
+
+@pytest.mark.parametrize('errors', [
+    {}, {'placement_error_m': [0.013, -0.021, 0.03], 'placement_error_rad': [0.02, 0.05, 0.1]},
+    {'grip_error_m': [0.004, 0.002, -0.003], 'grip_error_rad': [0.05, -0.1, 0.2]},
+    {'joint_zero_error_rad': [0.02, -0.01, 0.03, 0.02, -0.05, 0.01], 'focal_error': 0.05}],
+    ids=['none', 'placement', 'grip', 'joints'])
+def test_the_picture_shows_the_face_where_the_truth_says(make, probe, errors):
+    node = make(CameraSim, noise_grey=0.0, background_level=50.0, side_levels=[50.0] * 4,
+                face_level=250.0, **errors)
+    images, corners = published(node), []
+    node._true_corners = type('Out', (), {'publish': staticmethod(corners.append)})
+    names = node._arm.robot.joint_names
+    for joints_deg in ((-20, 40, 10, -10, 0, -20), (-5, 35, 20, -25, 8, 10)):
+        node._on_joints(joint_state_msg(names, np.radians(joints_deg), Header()))
+        node._expose()
+        bright = (grey_from_image(images[-1]).astype(float) - 50.0) / 200.0
+        centre_px, area_px2 = centre_and_area(points_from_polygon(corners[-1]))
+        rows, columns = np.indices(bright.shape)
+        seen_px = np.array([(bright * columns).sum(), (bright * rows).sum()]) / bright.sum()
+        assert seen_px == pytest.approx(centre_px, abs=0.01)
+        assert bright.sum() == pytest.approx(area_px2, rel=1e-3)
+    assert node.counts['internal_errors'] == 0
 
 
 class FakeDevice:
