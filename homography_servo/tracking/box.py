@@ -15,6 +15,7 @@ from homography_servo.tracking.face_pose import project
 from homography_servo.tracking.face_pose import projection_jacobian
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.scan import side_geometry
+from homography_servo.tracking.snake import Prior
 from homography_servo.tracking.strips import NARROWEST_PX
 from homography_servo.tracking.strips import Strips
 import numpy as np
@@ -23,6 +24,9 @@ FIRST_LEVEL, FIRST_SIGMA = 0.55, 0.2  # of a side, over that of the face
 DRIFT_SIGMA = 0.01  # per picture: the box turns in the light
 SURFACE_SIGMA = 0.03  # of a side that is seen well
 WIDTH_SIGMA_PX = 0.25  # of a strip, as the pose predicts it
+EDGE_SIGMA_PX = 0.15  # of the face's edge beside it
+LEARN_PX = 0.7  # narrower strips teach nothing
+RIGID_SIGMA_PX = 0.3  # of the corners about a view of the face: lens, size, flatness
 CORNER_MARGIN_PX = 2.5  # a corner where a side shows is left out by this
 CLEAR_PX = 1.5  # a side this much wider than the scan lines hides what is behind
 
@@ -34,6 +38,7 @@ class Outline(NamedTuple):
     width: np.ndarray  # (4, 2) of the strip beside each side, at its corners [px]
     reach: np.ndarray  # (4, 2) where along the side these widths are, 0 to 1
     rows: np.ndarray  # (4, 2, 8) change of the widths with the corners
+    rigid: Prior  # the corners are a view of the face
 
 
 class BoxSides:
@@ -62,13 +67,22 @@ class BoxSides:
         self._inside: float | None = None
         self._outside = np.zeros(4)
 
-    def strips(self, corners: np.ndarray) -> Strips | None:
-        """Predict the strips beside a face with these corners; None while nothing is known."""
+    def strips(self, corners: np.ndarray) -> tuple[Strips, Prior] | tuple[None, None]:
+        """
+        Predict the strips beside a face with these corners.
+
+        Returns
+        -------
+        Strips or None, Prior or None
+            The strips, and that the corners are a view of the face; None while nothing
+            is known.
+
+        """
         if self._inside is None:
-            return None
+            return None, None
         outline = self.outline(corners)
         if isinstance(outline, Rejected):
-            return None
+            return None, None
         self._pose = outline.pose
         width, rows = _at_corners(outline)
         shows = outline.width.max(axis=1) > NARROWEST_PX
@@ -76,8 +90,10 @@ class BoxSides:
         contrast = self._inside - self._outside
         contrast = np.where(np.abs(contrast) < 1.0, 1.0, contrast)
         level = (self._level * self._inside - self._outside) / contrast
-        return Strips(width, rows, np.minimum(np.maximum(level, -1.0), 2.0),
-                      self._spans(outline, corners, shows))
+        sigma = np.sqrt(self._variance) * self._inside / np.abs(contrast)
+        strips = Strips(width, rows, np.minimum(np.maximum(level, -1.0), 2.0), sigma,
+                        self._spans(outline, corners, shows))
+        return strips, outline.rigid
 
     def outline(self, corners: np.ndarray) -> Outline | Rejected:
         """Find the pose of the face and from it the outline of the box."""
@@ -100,7 +116,9 @@ class BoxSides:
         drift = np.einsum('ik,ijk->ij', geometry.edge, behind[ends])
         reach = drift / geometry.length[:, None] ** 2 + (0.0, 1.0)
         rows = -np.einsum('ik,ijkp->ijp', normal, lag[ends]) @ pose_from_corners
-        return Outline(pose, width, reach, rows)
+        bend = np.eye(8) - slopes[:4].reshape(8, 6) @ pose_from_corners
+        rigid = Prior(corners - focal * pose.miss, bend / RIGID_SIGMA_PX ** 2)
+        return Outline(pose, width, reach, rows, rigid)
 
     def _spans(self, outline: Outline, corners: np.ndarray, shows: np.ndarray) -> np.ndarray:
         """Leave out corners where a side shows: more than two surfaces meet there."""
@@ -120,7 +138,7 @@ class BoxSides:
         if not good.any():
             return
         self._inside = middle((edges.outside + edges.contrast)[good])
-        self._variance = self._variance + DRIFT_SIGMA ** 2
+        self._variance = np.minimum(self._variance + DRIFT_SIGMA ** 2, FIRST_SIGMA ** 2)
         for side in range(4):
             own = good & (edges.side == side)
             if own.any():
@@ -139,12 +157,14 @@ class BoxSides:
         second = edges.second
         mine = own[second.segment] & (edges.side[second.segment] == side)
         information = second.level_own[mine].sum()
-        if information > 1e-6:
-            level = self._level[side] + second.level_pull[mine].sum() / information \
-                / max(self._inside, 1.0)
-            step = WIDTH_SIGMA_PX / max(width, 0.3) * (level - outside / max(self._inside, 1.0))
-            noise = middle(edges.residual) / information / max(self._inside, 1.0) ** 2
-            self._update(side, level, noise + step * step + SURFACE_SIGMA ** 2)
+        if information > 1e-6 and width > LEARN_PX:
+            inside = max(self._inside, 1.0)
+            level = self._level[side] + second.level_pull[mine].sum() / information / inside
+            # A wrong width spreads the strip's light, a wrong edge mixes in the face's.
+            spread = WIDTH_SIGMA_PX * (level - outside / inside) / width
+            mixed = EDGE_SIGMA_PX * (1.0 - level) / width
+            noise = middle(edges.residual) / information / inside ** 2
+            self._update(side, level, noise + spread ** 2 + mixed ** 2 + SURFACE_SIGMA ** 2)
 
     def _update(self, side: int, level: float, variance: float) -> None:
         gain = self._variance[side] / (self._variance[side] + variance)

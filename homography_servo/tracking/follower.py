@@ -10,6 +10,7 @@ from homography_servo.tracking.face_pose import pose_of_face
 from homography_servo.tracking.focus import first_focus
 from homography_servo.tracking.focus import refocus
 from homography_servo.tracking.locate import Locator
+from homography_servo.tracking.motion import both
 from homography_servo.tracking.motion import Motion
 from homography_servo.tracking.motion import shape_prior
 from homography_servo.tracking.motion import similarity_basis
@@ -233,8 +234,9 @@ class Follower:
     def _fine(self, image: np.ndarray, prior: Prior) -> SnakeFit | Rejected:
         blur_px = round(50.0 * self.blur_px) / 50.0
         half = self.settings.edge_half_px + max(0, round(2.0 * (blur_px - 0.8)))
-        strips = None if self._box is None else self._box.strips(prior.corners)
-        fit = fit_snake(image, prior.corners, Look(blur_px, half), self._plane, prior,
+        strips, rigid = (None, None) if self._box is None else self._box.strips(prior.corners)
+        held = prior if rigid is None else both(prior, rigid)
+        fit = fit_snake(image, prior.corners, Look(blur_px, half), self._plane, held,
                         POLARITIES[self.settings.polarity], strips)
         if isinstance(fit, Rejected):
             return fit

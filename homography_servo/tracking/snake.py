@@ -39,7 +39,7 @@ class Look(NamedTuple):
     half: int  # pixels on either side of the edge
     stride: int = 1  # distance of the scan lines [px]
     lines: int = 6  # scan lines per segment
-    iterations: int = 4  # linear steps at most
+    iterations: int = 5  # linear steps at most
     done_sigmas: float = 6.0  # a step smaller than so many corner sigmas is the last one
     sure_px: float = 0.15  # scatter between segments that is not surprising
     first_sure_px: float = 0.6  # the same in the first round
@@ -155,6 +155,8 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
     rows, inward = polygon_rows(edges, len(corners)), edges.inward
     excess = _excess(edges)
     variance = edges.variance * excess + MODEL_ERROR_PX ** 2
+    if edges.second is not None:
+        variance = variance + strips.doubt(edges.side, edges.along)
     precision = usable / variance
     held, pull = _held(prior, corners)
     miss = inward
@@ -168,7 +170,8 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
         weighted = (rows * (precision * weight)[:, None]).T
         information, target = weighted @ rows + held, weighted @ inward + pull
         if edges.second is not None:
-            _add_widths(information, target, edges, strips, rows, weight * usable / excess)
+            _add_widths(information, target, edges, strips, rows,
+                        weight * precision * edges.variance)
         covariance = cv2.invert(information, flags=cv2.DECOMP_CHOLESKY)[1]
         shift = covariance @ target
         miss = inward - rows @ shift

@@ -15,6 +15,7 @@ from homography_servo.tracking.scan import Scan
 import numpy as np
 
 NARROWEST_PX = 0.05
+MELTED_PX = 1.5  # up to this width the strip's brightness shifts the edge
 
 
 class Back(NamedTuple):
@@ -33,6 +34,7 @@ class Strips(NamedTuple):
     width: np.ndarray  # (m, 2) at the first and second corner of each side
     rows: np.ndarray  # (m, 2, 2 m) how these widths change with the corners
     level: np.ndarray  # (m,) brightness: 0 as outside, 1 as the face
+    level_sigma: np.ndarray  # (m,) of that brightness
     spans: np.ndarray  # (m, 2) part of each side where this holds, 0 to 1
 
     def rows_at(self, side: np.ndarray, along: np.ndarray) -> np.ndarray:
@@ -44,6 +46,16 @@ class Strips(NamedTuple):
         """Interpolate the widths."""
         first = self.width[:, 0].take(side)
         return first + (self.width[:, 1].take(side) - first) * along
+
+    def doubt(self, side: np.ndarray, along: np.ndarray) -> np.ndarray:
+        """
+        Give the variance (s,) that a wrong brightness of the strips adds to an offset.
+
+        It is common to the whole side, so each segment gets the side's share of it.
+        """
+        width = np.minimum(np.maximum(self.width_at(side, along), 0.0), MELTED_PX)
+        segments = np.bincount(side, minlength=len(self.width))
+        return segments.take(side) * (width * self.level_sigma.take(side)) ** 2
 
     def mix_in(self, scan: Scan, profile: EdgeProfile, place: np.ndarray,
                scale: np.ndarray | None, share: np.ndarray, slope: np.ndarray) -> Back | None:
