@@ -32,12 +32,15 @@ def ask(method: Peer, image: np.ndarray, time_s: float) -> Answer:
                   time.thread_time() - cpu_s)
 
 
-def time_columns(answers: list[Answer]) -> dict[str, float]:
-    """Sum up the times; CPU time does not grow when others use the machine."""
+def times_of(answers: list[Answer]) -> np.ndarray:
+    """Give (N, 2) wall and CPU times [s]."""
+    return np.array([(answer.wall_s, answer.cpu_s) for answer in answers])
+
+
+def time_columns(times_s: np.ndarray) -> dict[str, float]:
+    """Sum up (N, 2) times; CPU time does not grow when others use the machine."""
     columns = {}
-    for name, times_s in (('time', [a.wall_s for a in answers]),
-                          ('cpu', [a.cpu_s for a in answers])):
-        times_ms = 1e3 * np.array(times_s)
+    for name, times_ms in zip(('time', 'cpu'), 1e3 * times_s.T):
         columns[f'{name}_ms_median'] = float(np.median(times_ms))
         columns[f'{name}_ms_p99'] = float(np.percentile(times_ms, 99))
     return columns
@@ -65,7 +68,7 @@ def score(method: str, case: Case, frames: list[Frame], answers: list[Answer],
         bias_px = np.abs(np.nanmean(errors, axis=0)).max()
         row.update(corner_rms_px=rms_px, corner_max_px=float(np.nanmax(distance)),
                    corner_rms_over_bound=rms_px / bound_px, bias_px=float(bias_px))
-    row.update(_counts(frames, answers, distance), **time_columns(answers))
+    row.update(_counts(frames, answers, distance), **time_columns(times_of(answers)))
     if case.hidden_corners:
         row['hidden_rms_over_normal'] = _hidden_over_normal(case, distance)
     return row
