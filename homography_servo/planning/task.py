@@ -10,6 +10,7 @@ from homography_servo.geometry.camera import Camera
 from homography_servo.geometry.path import choose_count
 from homography_servo.geometry.path import interpolate
 from homography_servo.geometry.rigid import inverse as inverted
+from homography_servo.planning.checks import same_posture
 from homography_servo.planning.feasibility import check_path
 from homography_servo.planning.feasibility import look
 from homography_servo.planning.follow import path_lengths
@@ -22,7 +23,6 @@ from homography_servo.robot.robot_file import Robot
 import numpy as np
 
 MOST_POSES = 2000
-SAME_POSTURE_RAD = 0.3
 
 
 class Proposal(NamedTuple):
@@ -115,7 +115,7 @@ class Task:
         found = inverse(self.robot, target, self.joints_rad, self.settings.seed)
         if self.goal_joints_rad is None:
             return found
-        others = [q for q in found if np.abs(q - self.goal_joints_rad).max() > SAME_POSTURE_RAD]
+        others = [q for q in found if not same_posture(q, self.goal_joints_rad)]
         return np.array([self.goal_joints_rad, *others])
 
     def poses_of(self, joints_rad: np.ndarray) -> np.ndarray:
