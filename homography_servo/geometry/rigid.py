@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+_HALF_TURN = -0.99  # cosine of the angle from which scipy finds the axis
 _SMALL_RAD = 0.1  # below it the series is more exact than the closed form
 
 
@@ -149,8 +150,19 @@ def rotation_log(rotation: np.ndarray) -> np.ndarray:
     if rotation.shape[-2:] != (3, 3) or not np.isfinite(rotation).all():
         raise ValueError('rotation must be finite and have shape (..., 3, 3), got '
                          f'{rotation.shape}{"" if np.isfinite(rotation).all() else " with nan"}')
-    flat = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec()
-    return flat.reshape(rotation.shape[:-1])
+    flat = rotation.reshape(*rotation.shape[:-2], 9)
+    axial = 0.5 * (flat[..., [7, 2, 3]] - flat[..., [5, 6, 1]])
+    sine = np.sqrt((axial * axial).sum(axis=-1))
+    cosine = 0.5 * (flat[..., 0] + flat[..., 4] + flat[..., 8] - 1.0)
+    tiny = sine < 1e-12
+    vector = axial * np.where(tiny, 1.0, np.arctan2(sine, cosine)
+                              / np.where(tiny, 1.0, sine))[..., None]
+    # Near half a turn the axis vanishes from the odd part of the matrix.
+    turned = cosine < _HALF_TURN
+    if turned.any():
+        vector[turned] = Rotation.from_matrix(rotation[turned].reshape(-1, 3, 3)).as_rotvec() \
+            .reshape(vector[turned].shape)
+    return vector
 
 
 def rotation_angle(rotation: np.ndarray) -> np.ndarray | float:

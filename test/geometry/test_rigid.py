@@ -8,6 +8,7 @@ from hypothesis import settings
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
 
 
 def random_transform(seed):
@@ -104,6 +105,18 @@ def test_the_long_way_round_ends_at_the_same_place():
 def test_rotation_angle_is_exact_at_both_ends(angle_rad):
     turn = rigid.exp_twist([0.0, 0.0, 0.0, *(angle_rad * np.array([0.6, 0.0, 0.8]))])
     assert rigid.rotation_angle(turn[:3, :3]) == pytest.approx(angle_rad, abs=1e-12)
+
+
+@pytest.mark.parametrize('angle_rad', [0.0, 1e-13, 1e-7, 0.5, 2.0, 2.99, 3.01, 3.14, np.pi])
+def test_rotation_vectors_agree_with_scipy(angle_rad):
+    axes = np.random.default_rng(7).normal(size=(2, 20, 3))
+    axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+    flat = Rotation.from_rotvec(angle_rad * axes.reshape(-1, 3)).as_matrix()
+    found = rigid.rotation_log(flat.reshape(2, 20, 3, 3))
+    again = Rotation.from_rotvec(found.reshape(-1, 3)).as_matrix()
+    assert again == pytest.approx(flat, abs=1e-12)
+    assert np.linalg.norm(found, axis=-1) == pytest.approx(angle_rad, abs=1e-12)
+    assert rigid.rotation_log(flat[3]) == pytest.approx(found[0, 3], abs=1e-12)
 
 
 def test_stacks_agree_with_single_motions():
