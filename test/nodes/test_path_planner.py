@@ -15,8 +15,12 @@ from homography_servo.nodes.conversions import pose_stamped_msg
 from homography_servo.nodes.conversions import transform_from_pose
 from homography_servo.nodes.conversions import transforms_from_poses
 from homography_servo.nodes.kit import LATCHED
+from homography_servo.nodes.path_messages import predicted_trajectory_msg
+from homography_servo.nodes.path_messages import verdict_msg
+from homography_servo.nodes.visual_servo import lead_from
 from homography_servo.places import find_config
 from homography_servo.planning.feasibility import look
+from homography_servo.planning.planner import plan
 from homography_servo.robot.kinematics import object_pose
 from homography_servo.robot.robot_file import load_robot
 import numpy as np
@@ -254,3 +258,22 @@ def test_a_robot_file_that_is_not_there_ends_with_code_2(start_node):
     node = start_node('path_planner', robot_file='nowhere.yaml')
     assert node.wait() == 2
     assert 'nowhere.yaml' in node.output and 'Traceback' not in node.output
+
+
+def test_the_servo_reads_where_planned_joints_lead_through_a_singularity(robot):
+    start = np.radians([73.0, -64.0, -18.0, 47.0, 22.0, -64.0])
+    goal = np.radians([-15.0, 17.0, 31.0, -8.0, -43.0, 69.0])
+    found = plan(object_pose(robot, start), object_pose(robot, goal), CAMERA, robot, start,
+                 goal_joints_rad=goal)
+    assert found.ok and 'through a singularity' in found.family
+    header = Header(frame_id='home')
+    header.stamp.sec = 7
+    verdict = verdict_msg(found, header, robot)
+    joints = predicted_trajectory_msg(found, robot, header)
+    lead = lead_from(verdict, joints, robot.joint_names)
+    led = found.verdict.values.led
+    assert lead.needed and [lead.passes(k) for k in range(len(led))] == [*led[:-1], False]
+    assert lead.note(0, start) and np.abs(lead.target(20) - found.joints_rad[20]).max() < 1e-9
+    assert lead_from(verdict, None, robot.joint_names) is None
+    other = predicted_trajectory_msg(found, robot, Header(frame_id='home'))
+    assert lead_from(verdict, other, robot.joint_names) is None
