@@ -36,7 +36,8 @@ LENS_GUESS = 1.2  # focal length over image width of a camera nobody calibrated
 SLACK = 1.5  # for distances measured with it
 STEEPEST = 0.35  # cosine of the largest tilt
 LOOKED_AT = 14  # candidates fitted at most
-CONVINCING = 0.8  # score that ends the search
+LEAST_SCORE = 0.45
+CONVINCING = 0.75  # score that ends the search
 CLEAR_GREY = 10.0  # contrast that is no noise
 EVEN_GREY = 12.0  # differences that a face of one colour may show
 SAME_PX = 5.0
@@ -100,7 +101,11 @@ def find_face(image: np.ndarray, target: Target, plane: Plane,
             best = found
             if best.score > CONVINCING:
                 break
-    return Rejected(reason) if best is None else best
+    if best is None:
+        return Rejected(reason)
+    if best.score < LEAST_SCORE:
+        return Rejected(f'the best quadrilateral looks like the face to {best.score:.0%} only')
+    return best
 
 
 def candidates(image: np.ndarray, target: Target, plane: Plane) -> np.ndarray:

@@ -65,7 +65,7 @@ class Follower:
         if box_height_m > 0.0 and plane.camera is not None:
             self._box = BoxSides(face_size_m, box_height_m, plane)
         self._locator, self._texture = Locator(), FaceTexture()
-        self._contrast: float | None = None
+        self._edges_are_weak = False
         self._accepted = 0
         self._points_m, self._pose = face_corners(*face_size_m), None
         self.forget()
@@ -104,13 +104,14 @@ class Follower:
 
         """
         prior = self._motion.predict(stamp_s)
-        fit = self._fine(image, prior)
+        fit = self._by_print(image, prior.corners, prior) if self._edges_are_weak \
+            else self._fine(image, prior)
         if fit:
             return fit
         why = fit
         located = self._locate(image, prior.corners)
         for corners in (located, given):
-            if not fit and corners is not None:
+            if not fit and corners is not None and not self._edges_are_weak:
                 fit = self._near(image, Prior(corners, prior.information), MEDIUM)
         for corners in (prior.corners, located):
             if not fit and corners is not None:
@@ -156,10 +157,12 @@ class Follower:
         if isinstance(fit, Rejected):
             return fit
         self._texture.remember(image, self._plane.to_image(fit.corners))
+        self._edges_are_weak = True
         moved_px = float(np.abs(fit.corners - prior.corners).max())
         if not self._texture.known or moved_px > TOLD_PX \
                 or np.count_nonzero(fit.quality.side_share > 2.0 * SEEN_SIDE) < SIDES_NEEDED - 1:
             self._texture.forget()
+            self._edges_are_weak = False
             return Rejected('neither edges nor print confirm the given corners')
         return fit
 
@@ -198,10 +201,6 @@ class Follower:
         self._motion.measured(fit.corners, stamp_s)
         self._accepted += 1
         good = fit.weight > INLIER_WEIGHT
-        if good.any():
-            contrast = float(np.mean(fit.edges.contrast[good]))
-            self._contrast = contrast if self._contrast is None \
-                else self._contrast + 0.1 * (contrast - self._contrast)
         if self._box is not None:
             self._box.learn(fit.edges, fit.weight, fit.strips, self.settings.edge_half_px)
         if self._accepted % REMEMBER_EVERY == 1:
