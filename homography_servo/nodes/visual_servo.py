@@ -39,10 +39,10 @@ from homography_servo.planning.calibration_run import CalibrationRun
 from homography_servo.planning.calibration_run import CalibrationRunSettings
 from homography_servo.planning.command import Command
 from homography_servo.planning.joint_lead import JointLead
-from homography_servo.planning.servo import FAILED
-from homography_servo.planning.servo import HOLD
 from homography_servo.planning.servo import Servo
 from homography_servo.planning.servo_settings import ServoSettings
+from homography_servo.planning.servo_state import FAILED
+from homography_servo.planning.servo_state import HOLD
 from homography_servo.result import Rejected
 from homography_servo.robot.robot_file import load_robot
 from homography_servo.robot.robot_file import Robot
@@ -305,7 +305,8 @@ class VisualServo(NodeKit, Node):
         level = ERROR if self._servo.state == FAILED else \
             WARN if self._servo.state == HOLD else OK
         values = {**self._servo.progress._asdict(), 'looks_in_filter': self._servo.filter.looks,
-                  'surprise': self._servo.filter.surprise}
+                  'surprise': self._servo.filter.surprise,
+                  'poses_passed_over': self._servo.passed_over}
         return [Health('servo', level, self._state_text, values)]
 
     def on_fault(self, error: Exception) -> None:

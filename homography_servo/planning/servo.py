@@ -11,19 +11,14 @@ moment it stands; HOLD with a reason, which ends by itself; DONE; FAILED with a 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import math
-from typing import NamedTuple
 
 from homography_servo.planning.arm_model import ArmModel
 from homography_servo.planning.command import Command
-from homography_servo.planning.control import corner_travel
 from homography_servo.planning.control import displacement
 from homography_servo.planning.control import Errors
 from homography_servo.planning.control import errors_of
 from homography_servo.planning.control import joints_for
-from homography_servo.planning.control import limit_step
-from homography_servo.planning.control import move_time
 from homography_servo.planning.control import sigmas_of
 from homography_servo.planning.control import Step
 from homography_servo.planning.flow import Flow
@@ -31,49 +26,31 @@ from homography_servo.planning.joint_lead import JointLead
 from homography_servo.planning.joint_track import CLOCK_JUMP_S
 from homography_servo.planning.look_filter import look_from_pose
 from homography_servo.planning.look_filter import LookFilter
+from homography_servo.planning.servo_looks import Looks
+from homography_servo.planning.servo_moves import Moves
 from homography_servo.planning.servo_settings import ServoSettings
+from homography_servo.planning.servo_state import ACTIVE
+from homography_servo.planning.servo_state import Attempt
+from homography_servo.planning.servo_state import DONE
+from homography_servo.planning.servo_state import FAILED
+from homography_servo.planning.servo_state import HOLD
+from homography_servo.planning.servo_state import IDLE
+from homography_servo.planning.servo_state import LOOKING
+from homography_servo.planning.servo_state import MOVING
+from homography_servo.planning.servo_state import Progress
 from homography_servo.planning.servo_watch import Watch
 from homography_servo.result import Rejected
 from homography_servo.robot.robot_file import Robot
 import numpy as np
 
-IDLE, MOVING, LOOKING = 'IDLE', 'MOVING', 'LOOKING'
-HOLD, DONE, FAILED = 'HOLD', 'DONE', 'FAILED'
-ACTIVE = (MOVING, LOOKING, HOLD)
-ARRIVED_RAD = 1.2e-3  # a little over one unit of a hobby servo
-SHORTEST_MOVE_S = 0.04
-OVERDUE_S = 1.0
 RETRY_S = 1.0
 GROWN = 1.2  # an error counts as larger than before from this factor on
 FLOW_REFRESH_S = 0.1  # a stream goes on without looks until vision is lost
 FLOW_LAST_S = 0.12  # the end of the way is left alone
-FLOW_AHEAD_S = 0.05  # how far joints are extrapolated to the time of an image
 IDLE_LOOK_S = 0.1  # while nothing moves, a look now and then keeps the model right
-
-
-class Progress(NamedTuple):
-    """How far the servo is; poses count from 1."""
-
-    pose: int = 0
-    of: int = 0
-    reached: bool = False
-    position_error_m: float = math.nan
-    rotation_error_rad: float = math.nan
-    iterations: int = 0
-    looks: int = 0
-    sure: float = math.nan  # worst standard deviation over its tolerance
-
-
-@dataclass
-class _Attempt:
-    """What was tried at the present pose."""
-
-    index: int
-    moves: int = 0
-    looks: int = 0
-    looks_since_stop: int = 0
-    grown: int = 0
-    last_over: float = math.inf
+PASSED_OVER = 12  # poses that a joint limit may keep out of reach, one after the other
+STUCK_SHARE = 0.02  # less of a step than this is no progress
+UNSEEN_RAD = 0.05  # by which the arm may overrun its move when its state is missing
 
 
 class Servo:
@@ -96,16 +73,15 @@ class Servo:
                                  settings.prior, settings.drift)
         self.state, self.reason = IDLE, ''
         self.progress = Progress()
+        self.passed_over = 0  # poses left out because a joint limit was in the way
         self._path: np.ndarray | None = None
         self._lead = JointLead()
         self._veto = 'no path was planned yet'
-        self._attempt = _Attempt(0)
+        self._attempt = Attempt(0)
         self._flow: Flow | None = None
-        self._target_rad: np.ndarray | None = None
-        self._left_rad: np.ndarray | None = None  # where the joints were at the last command
-        self._due_s = self._due_stamp_s = -math.inf
-        self._took_stamp_s = -math.inf
-        self._retry_s = math.inf
+        self._moves = Moves(robot, self.watch)
+        self._looks = Looks(self.watch, self.filter)
+        self._retry_s = -math.inf
         self._pending: Command | None = None
 
     @property
@@ -136,7 +112,7 @@ class Servo:
             self._end(FAILED, f'the new path is vetoed: {self._veto}')
             return
         standing = self._flow is not None or self.state != MOVING
-        joints_rad = self.watch.joints.latest_rad if standing else self._target_rad
+        joints_rad = self.watch.joints.latest_rad if standing else self._moves.target_rad
         self._aim_at(self._nearest_pose(self.filter.pose(joints_rad)))
         if self._flow is not None:
             self._flow.follow(self._path, self._attempt.index)
@@ -151,8 +127,8 @@ class Servo:
         before_s = joints.latest_stamp_s
         rejected = joints.add(np.array(joints_rad, dtype=float), stamp_s, now_s)
         if not rejected and abs(stamp_s - before_s) > CLOCK_JUMP_S:
-            self._due_stamp_s += stamp_s - before_s  # the clock was set: stay on its side
-            self._took_stamp_s = -math.inf
+            self._moves.clock_set(stamp_s - before_s)
+            self._looks.clock_set()
         return rejected
 
     def add_look(self, home_from_object: np.ndarray, covariance: np.ndarray, stamp_s: float,
@@ -198,7 +174,7 @@ class Servo:
     def tick(self, now_s: float) -> Command | None:
         """Go on as far as possible; give the command to send now, if any."""
         if not self.active:
-            self._take_looks(IDLE_LOOK_S)
+            self._looks.standing(self._moves.due_stamp_s, self.settings, IDLE_LOOK_S)
         elif self._pending is None:
             self._advance(now_s)
         command, self._pending = self._pending, None
@@ -224,30 +200,24 @@ class Servo:
         self.state, self.reason = HOLD, reason
 
     def _resume(self, now_s: float) -> None:
-        if now_s < self._retry_s and not math.isinf(self._retry_s):
+        if now_s < self._retry_s:
             return
-        self._retry_s = math.inf
-        expected = 0.0 if self._left_rad is None else \
-            float(np.abs(self._target_rad - self._left_rad).max())
-        moved = self.watch.moved_unseen_rad()
-        if moved > expected + 0.05:
-            self._end(FAILED, f'the arm moved by {math.degrees(moved):.1f} deg while '
+        moved_rad = self.watch.moved_unseen_rad()
+        if moved_rad > self._moves.length_rad + UNSEEN_RAD:
+            self._end(FAILED, f'the arm moved by {math.degrees(moved_rad):.1f} deg while '
                       'joint_states were missing; start again')
-            return
-        self._enter_looking()
+        else:
+            self._enter_looking()
 
     def _await_arrival(self, now_s: float) -> None:
-        joints = self.watch.joints
-        still = joints.still
-        near = np.abs(joints.latest_rad - self._target_rad).max() < ARRIVED_RAD
-        if still and near and joints.latest_stamp_s >= self._due_stamp_s:
+        if self._moves.arrived:
             self._enter_looking()
-        elif now_s > self._due_s + OVERDUE_S:
-            self._overdue(now_s, still)
+        elif self._moves.overdue(now_s):
+            self._overdue(now_s)
 
-    def _overdue(self, now_s: float, still: bool) -> None:
-        moved = np.abs(self.watch.joints.latest_rad - self._left_rad).max()
-        if still and moved > ARRIVED_RAD:
+    def _overdue(self, now_s: float) -> None:
+        still = self.watch.joints.still
+        if still and self._moves.began:
             self._enter_looking()  # it stands elsewhere: look where that is
             return
         self._retry_s = now_s + RETRY_S
@@ -256,26 +226,10 @@ class Servo:
 
     def _enter_looking(self) -> None:
         self.state, self.reason = LOOKING, ''
-        self._attempt.looks_since_stop = 0
 
-    def _take_looks(self, apart_s: float = 0.0) -> bool:
-        """
-        Feed the filter with looks at the standing arm; tell whether there were any.
-
-        What is seen before the start counts too: if the arm stood at the goal to teach
-        it, the model is right there already.
-        """
-        joints, taken = self.watch.joints, 0
-        stood_s = max(joints.still_since_s, self._due_stamp_s) + self.settings.settle_s
-        while self.watch.sight.queue:
-            stamp_s, look = self.watch.sight.queue.popleft()
-            setpoint = joints.at(stamp_s, ahead_s=self.settings.joint_timeout_s)
-            if stamp_s < max(stood_s, self._took_stamp_s + apart_s) or setpoint is None:
-                continue
-            self._took_stamp_s = stamp_s
-            taken += self.filter.update(look, setpoint)
+    def _take_looks(self) -> bool:
+        taken = self._looks.standing(self._moves.due_stamp_s, self.settings)
         self._attempt.looks += taken
-        self._attempt.looks_since_stop += taken
         return taken > 0
 
     def _decide(self, now_s: float) -> None:
@@ -338,9 +292,7 @@ class Servo:
             self._end(FAILED, f'the object is {1000 * far_m:.0f} mm and '
                       f'{math.degrees(far_rad):.0f} deg away from the path; plan again')
             return
-        looks = self._attempt.looks
-        self._aim_at(index)
-        self._attempt.looks = self._attempt.looks_since_stop = looks
+        self._attempt = Attempt(index, looks=self._attempt.looks)
         self._lead_from_here(self.watch.joints.latest_rad)
 
     def _nearest_pose(self, here: np.ndarray) -> int:
@@ -353,7 +305,7 @@ class Servo:
         return 0 if far[0] <= far[nearest] + 1.5 * spacing else nearest
 
     def _aim_at(self, index: int) -> None:
-        self._attempt = _Attempt(index)
+        self._attempt = Attempt(index)
 
     def _reached(self, now_s: float) -> None:
         self.progress = self.progress._replace(reached=True)
@@ -392,28 +344,15 @@ class Servo:
             self._flow, self._pending = None, Command()
             self._enter_looking()
             return
-        self._left_rad, self._target_rad = joints.latest_rad, command.joints_rad
-        self._due_s = now_s + command.time_s
-        self._due_stamp_s = joints.latest_stamp_s + command.time_s
-        self._pending = command
+        self._pending = self._moves.follow(command, now_s)
 
     def _look_on_the_way(self) -> bool:
-        """Feed the filter with looks at the moving arm; tell whether there were any."""
-        joints, seen = self.watch.joints, False
-        while self.watch.sight.queue:
-            stamp_s, look = self.watch.sight.queue.popleft()
-            setpoint = joints.near(stamp_s, FLOW_AHEAD_S)
-            if setpoint is None:
-                continue
-            twist = self.filter.model.posture(setpoint)[1] @ joints.velocity_rad_s
-            unsure = self.filter.blurred(look, setpoint, twist * self.settings.sync_sigma_s)
-            self.filter.update(unsure, setpoint)
-            self._attempt.looks += 1
-            seen = True
-        if seen:
-            here = self.filter.pose(joints.latest_rad)
+        taken = self._looks.moving(self.settings)
+        self._attempt.looks += taken
+        if taken:
+            here = self.filter.pose(self.watch.joints.latest_rad)
             self._report(displacement(here, self._path[self._attempt.index]), math.nan)
-        return seen
+        return taken > 0
 
     def _move(self, now_s: float, over: float) -> None:
         attempt = self._attempt
@@ -426,47 +365,46 @@ class Servo:
             self._end(FAILED, f'pose {attempt.index + 1} was not reached in {attempt.moves} '
                       f'moves; {over:.1f} times the tolerance is left')
         else:
-            self._command(self._step(), now_s)
+            self._step(now_s)
 
-    def _step(self) -> Step:
-        joints_rad = self.watch.joints.latest_rad
-        model, settings = self.filter.model, self.settings
+    def _step(self, now_s: float) -> None:
         index = self._attempt.index
-        if self._lead.passes(index) or self._lead.leads(index) and not self._attempt.moves:
-            wanted = self._lead.target(index)
-        else:
-            wanted = joints_for(model, joints_rad, self._path[index])
-        step = limit_step(self.robot, joints_rad, wanted, settings.servo_margin_rad,
-                          settings.move_max_rad)
-        travel_px = self._travel_px(step.joints_rad)
-        if travel_px <= settings.corner_move_px:
-            return step
-        share = settings.corner_move_px / travel_px
-        return Step(joints_rad + share * (step.joints_rad - joints_rad), share * step.share,
-                    step.limited_by or 'step')
-
-    def _travel_px(self, target_rad: np.ndarray) -> float:
-        return self.watch.focal_px * corner_travel(
-            self.filter.model, self.watch.joints.latest_rad, target_rad,
-            self.robot.object_points_m, self.robot.home_depth_m)
-
-    def _command(self, step: Step, now_s: float) -> None:
-        if step.share < 0.02 and step.limited_by not in ('', 'step'):
-            index = self.robot.joint_names.index(step.limited_by)
-            angle = math.degrees(self.watch.joints.latest_rad[index])
-            self._end(FAILED, f'{step.limited_by} is at its limit ({angle:.1f} deg) before '
-                      f'pose {self._attempt.index + 1}')
-            return
-        joints = self.watch.joints
-        self._left_rad, self._target_rad = joints.latest_rad, step.joints_rad
-        time_s = max(SHORTEST_MOVE_S,
-                     move_time(self.robot, step.joints_rad - self._left_rad)
-                     / self.settings.speed_share,
-                     self._travel_px(step.joints_rad) / self.settings.corner_speed_px_s)
-        self._due_s, self._due_stamp_s = now_s + time_s, joints.latest_stamp_s + time_s
+        step = self._step_to(index, self._attempt.moves)
+        if _blocked(step):
+            later = self._next_open(index)
+            if later is None:
+                self._end(FAILED, f'{self._at_limit(step.limited_by)} before pose {index + 1}')
+                return
+            self.passed_over += later - index
+            self._aim_at(later)
+            step = self._step_to(later, 0)
         self._attempt.moves += 1
         self.state, self.reason = MOVING, ''
-        self._pending = Command.to(step.joints_rad, time_s)
+        self._pending = self._moves.go(self.filter.model, step.joints_rad, self.settings, now_s)
+
+    def _step_to(self, index: int, moves: int) -> Step:
+        model = self.filter.model
+        if self._lead.passes(index) or self._lead.leads(index) and not moves:
+            wanted_rad = self._lead.target(index)
+        else:
+            wanted_rad = joints_for(model, self.watch.joints.latest_rad, self._path[index])
+        return self._moves.step_to(model, wanted_rad, self.settings)
+
+    def _next_open(self, index: int) -> int | None:
+        """
+        Find a pose further on that can be moved to from a joint limit.
+
+        With a wrong model the way between two good poses may brush a limit; it is left
+        out then. The last pose never is.
+        """
+        for later in range(index + 1, min(index + 1 + PASSED_OVER, len(self._path))):
+            if not _blocked(self._step_to(later, 0)):
+                return later
+        return None
+
+    def _at_limit(self, joint: str) -> str:
+        angle = self.watch.joints.latest_rad[self.robot.joint_names.index(joint)]
+        return f'{joint} is at its limit ({math.degrees(angle):.1f} deg)'
 
     def _give_up(self, unsure: float, agrees: bool) -> None:
         where = f'pose {self._attempt.index + 1}'
@@ -481,6 +419,10 @@ class Servo:
     def _end(self, state: str, reason: str, stop: bool = True) -> None:
         self._flow = None
         self.state, self.reason = state, reason
-        self._retry_s = math.inf
+        self._retry_s = -math.inf
         if stop:
             self._pending = Command()
+
+
+def _blocked(step: Step) -> bool:
+    return step.share < STUCK_SHARE and step.limited_by not in ('', 'step')

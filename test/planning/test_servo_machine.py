@@ -5,12 +5,12 @@ import math
 from homography_servo.planning.arm_model import ArmModel
 from homography_servo.planning.control import displacement
 from homography_servo.planning.control import errors_of
-from homography_servo.planning.servo import DONE
-from homography_servo.planning.servo import FAILED
-from homography_servo.planning.servo import HOLD
-from homography_servo.planning.servo import IDLE
 from homography_servo.planning.servo import Servo
 from homography_servo.planning.servo_settings import ServoSettings
+from homography_servo.planning.servo_state import DONE
+from homography_servo.planning.servo_state import FAILED
+from homography_servo.planning.servo_state import HOLD
+from homography_servo.planning.servo_state import IDLE
 from homography_servo.result import Rejected
 import numpy as np
 import pytest
@@ -270,3 +270,21 @@ def test_images_older_than_their_stamps_do_not_lead_astray(lag_s):
     run.finish()
     assert run.servo.state == DONE, run.servo.state_text
     assert all(e < bound for e, bound in zip(final_errors(run), FINAL))
+
+
+def test_pose_that_a_joint_limit_keeps_out_of_reach_is_passed_over():
+    start, bulge, goal = (START_RAD.copy() for _ in range(3))
+    start[1], bulge[1], goal[1] = np.radians([71.0, 77.0, 71.0])
+    goal[0] += 0.2
+    bulge[0] += 0.1
+    run = world()
+    run._motion.__init__(start)
+    there = straight_path(run.truth, 8, start, bulge)
+    back = straight_path(run.truth, 8, bulge, goal)
+    run.servo.set_path(np.concatenate([there, back[1:]]), True, '')
+    run.finish()
+    assert run.servo.state == DONE, run.servo.state_text
+    assert run.servo.passed_over > 0
+    assert max(c.joints_rad[1] for _, c in moves(run)) < ROBOT.upper_rad[1]
+    errors = errors_of(displacement(run.true_pose, back[-1]))
+    assert all(e < bound for e, bound in zip(errors, FINAL))
