@@ -96,7 +96,8 @@ def _rows_at(rng: np.random.Generator, truth: np.ndarray, tilt_deg: np.ndarray,
     scale = np.repeat([PRIOR_OFF_M, np.radians(PRIOR_OFF_DEG)], 3)
     believed = displaced(truth, np.concatenate(list(off), axis=1) * scale)
     bound = crlb(truth, noise_px)
-    results = _results(corners_px, believed, np.diag(scale**2), noise_px)
+    # An offset of this length in a random direction has a third of its square on each axis.
+    results = _results(corners_px, believed, np.diag(scale**2 / 3.0), noise_px)
     rows = []
     for case, chosen in ((f'noise {noise_px} px', tilt_deg >= 0.0),
                          (f'noise {noise_px} px, tilt 20-60 deg', tilt_deg >= 20.0)):
