@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 import shutil
@@ -185,7 +186,8 @@ class BagWriter:
         try:
             self._bag.close()
         except Exception as error:
-            self._bag.abort()
+            with suppress(Exception):
+                self._bag.abort()  # closes the file; the oldest versions do not have it
             self.stopped = (f'{self.stopped}; ' if self.stopped else '') \
                 + f'the recording has no index and cannot be played: {error}'
 
