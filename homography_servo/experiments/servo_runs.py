@@ -19,11 +19,13 @@ from homography_servo.geometry.pose import PoseEstimate
 from homography_servo.geometry.pose import Prior
 from homography_servo.planning.arm_model import ArmModel
 from homography_servo.planning.joint_lead import JointLead
-from homography_servo.planning.model_learner import ModelLearner
+from homography_servo.planning.model_learner import KnownLook
+from homography_servo.planning.model_learner import learned
 from homography_servo.planning.observer_settings import ObserverSettings
 from homography_servo.planning.planner import Plan
 from homography_servo.planning.planner import plan
 from homography_servo.planning.servo import Servo
+from homography_servo.planning.settings import FeasibilitySettings
 from homography_servo.result import Rejected
 import numpy as np
 
@@ -55,23 +57,25 @@ class Eye:
                              max(sigma_px, 1e-3) ** 2, prior)
 
 
-def plan_for(world: World, pair: RobotPair, eye: Eye, learner: ModelLearner
-             ) -> Plan | Rejected:
+def plan_for(world: World, pair: RobotPair, eye: Eye) -> Plan | Rejected:
     """Teach the goal where the arm stands there, look at the start, plan: as operators do."""
     goal = eye.pose(world.arm.pose(pair.goal_rad), pair.goal_rad, None)
     start = eye.pose(world.arm.pose(pair.start_rad), pair.start_rad, START_LOOKS)
-    for seen, joints_rad in ((goal, pair.goal_rad), (start, pair.start_rad)):
+    looks, limits = [], FeasibilitySettings()
+    for seen, joints_rad in ((start, pair.start_rad), (goal, pair.goal_rad)):
         if isinstance(seen, Rejected):
             return seen
-        learner.learn(seen.home_from_object, seen.covariance, joints_rad)
-    return plan(start.home_from_object, goal.home_from_object, CAMERA, learner.robot,
+        looks.append(KnownLook(seen.home_from_object, seen.covariance, joints_rad))
+    robot = learned(world.arm.robot, looks, limits.disagreement_max_m,
+                    limits.disagreement_max_rad)
+    return plan(start.home_from_object, goal.home_from_object, CAMERA, robot,
                 pair.start_rad, goal_joints_rad=pair.goal_rad)
 
 
 def run_pair(world: World, pair: RobotPair, noise_px: float, confirm: Confirm) -> Outcome:
     """Plan and servo one pair; a veto is put to the independent search."""
     eye = Eye(world, noise_px, pair.seed)
-    planned = plan_for(world, pair, eye, ModelLearner(world.arm.robot))
+    planned = plan_for(world, pair, eye)
     if isinstance(planned, Rejected):
         return Outcome(False, vetoed=True, confirmed=confirm(pair), why=planned.reason)
     if not planned.ok:

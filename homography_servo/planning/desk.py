@@ -11,6 +11,8 @@ from homography_servo.geometry.camera import Camera
 from homography_servo.geometry.pose import PoseEstimate
 from homography_servo.planning.feasibility import goal_fault
 from homography_servo.planning.feasibility import look
+from homography_servo.planning.model_learner import KnownLook
+from homography_servo.planning.model_learner import learned
 from homography_servo.planning.observer import Observer
 from homography_servo.planning.observer import StillView
 from homography_servo.planning.observer_settings import ObserverSettings
@@ -56,6 +58,7 @@ class PlanningDesk:
         self._moved_stamp_s = -np.inf
         self.goal: np.ndarray | Rejected = Rejected(_NO_GOAL)
         self._goal_joints_rad: np.ndarray | None = None  # where the arm stood at the goal
+        self._goal_look: KnownLook | None = None  # what was seen there
         self._observer = Observer(self.object_points_m, self.home_depth_m,
                                   settings.corner_sigma_px, observer)
 
@@ -148,7 +151,11 @@ class PlanningDesk:
         estimate = self._observer.view_pose(view, self.camera, now_s, self._arm_pose(now_s))
         if isinstance(estimate, Rejected):
             return estimate
-        answer = self._take_goal(estimate.home_from_object, self._fresh_joints(now_s))
+        joints_rad = self._fresh_joints(now_s)
+        answer = self._take_goal(estimate.home_from_object, joints_rad)
+        if not isinstance(answer, Rejected) and joints_rad is not None:
+            self._goal_look = KnownLook(
+                estimate.home_from_object, estimate.covariance, joints_rad)
         return answer if isinstance(answer, Rejected) else \
             f'goal taught from {view.looks} looks, {_quality(view, estimate)}'
 
@@ -186,9 +193,19 @@ class PlanningDesk:
         start = self._observer.view_pose(view, self.camera, now_s, self._arm_pose(now_s))
         if isinstance(start, Rejected):
             return start
-        return plan(start.home_from_object, self.goal, self.camera, self._robot,
-                    self._fresh_joints(now_s), self._settings, self.object_points_m,
-                    self._goal_joints_rad)
+        joints_rad = self._fresh_joints(now_s)
+        robot = self._learned(start, joints_rad)
+        return plan(start.home_from_object, self.goal, self.camera, robot, joints_rad,
+                    self._settings, self.object_points_m, self._goal_joints_rad)
+
+    def _learned(self, start: PoseEstimate, joints_rad: np.ndarray | None) -> Robot | None:
+        """Correct the arm's model by what is seen now and was seen at the taught goal."""
+        if self._robot is None or joints_rad is None:
+            return self._robot
+        looks = [KnownLook(start.home_from_object, start.covariance, joints_rad)]
+        looks += [] if self._goal_look is None else [self._goal_look]
+        return learned(self._robot, looks, self._settings.disagreement_max_m,
+                       self._settings.disagreement_max_rad)
 
     def _take_goal(self, goal: np.ndarray, joints_rad: np.ndarray | None = None
                    ) -> str | Rejected:
@@ -201,6 +218,7 @@ class PlanningDesk:
             if fault:
                 return self._refuse_goal(fault)
         self.goal, self._goal_joints_rad = np.array(goal, dtype=float), joints_rad
+        self._goal_look = None
         x, y, z = 1000.0 * self.goal[:3, 3]
         return f'goal set to x {x:.1f}, y {y:.1f}, z {z:.1f} mm in home'
 

@@ -9,17 +9,46 @@ robot stands a few millimetres elsewhere than believed.
 
 from __future__ import annotations
 
+from typing import NamedTuple, Sequence
+
+from homography_servo.geometry.rigid import pose_difference
 from homography_servo.planning.arm_model import ArmModel
 from homography_servo.planning.arm_model import Prior
 from homography_servo.planning.look_filter import Look
 from homography_servo.planning.look_filter import look_from_pose
 from homography_servo.planning.look_filter import LookFilter
 from homography_servo.result import Rejected
+from homography_servo.robot.kinematics import object_pose
 from homography_servo.robot.robot_file import Robot
 import numpy as np
 
-PASSES = 4
+PASSES = 3
 KEPT = 16
+
+
+class KnownLook(NamedTuple):
+    """A measured pose while the arm stood at known joints."""
+
+    home_from_object: np.ndarray  # (4, 4)
+    covariance: np.ndarray  # (6, 6)
+    joints_rad: np.ndarray  # (n,)
+
+
+def learned(robot: Robot, looks: Sequence[KnownLook], largest_m: float, largest_rad: float
+            ) -> Robot:
+    """
+    Correct an arm by looks, unless they say that it is not this arm at all.
+
+    Where a look is further from the belief than the given limits, the model stays as
+    it is, so that the plan can say so.
+    """
+    learner = ModelLearner(robot)
+    for look in looks:
+        away = pose_difference(look.home_from_object, object_pose(robot, look.joints_rad))
+        if np.linalg.norm(away[:3]) > largest_m or np.linalg.norm(away[3:]) > largest_rad:
+            return robot
+        learner.learn(*look)
+    return learner.robot
 
 
 class ModelLearner:

@@ -53,8 +53,8 @@ import numpy as np
 OURS = 'homography_servo'
 NOISE_PX = 0.1
 NOISES_PX = (0.1, 0.3, 1.0)
-PAIRS, QUICK_PAIRS = 1000, 6
-FREE_PAIRS, QUICK_FREE_PAIRS = 300, 4
+PAIRS, QUICK_PAIRS = 1000, 4
+FREE_PAIRS, QUICK_FREE_PAIRS = 300, 2
 LOOKS, LAST_LOOKS = 200, 100
 SETTLED_M, SETTLED_RAD = 0.02, np.radians(5.0)
 SCENARIOS = Path(__file__).resolve().parents[4] / 'shared' / 'scenarios.yaml'
@@ -63,7 +63,7 @@ SCENARIOS = Path(__file__).resolve().parents[4] / 'shared' / 'scenarios.yaml'
 def run(quick: bool, seed: int) -> list[dict[str, Any]]:
     """Measure everything; rows as described in the module."""
     scenarios = load_scenarios(SCENARIOS)
-    rows = scenario_rows(scenarios[:4] if quick else scenarios, seed, NOISE_PX)
+    rows = scenario_rows(scenarios[:2] if quick else scenarios, seed, NOISE_PX)
     robot = load_robot(find_config('robix_rcs6.yaml'))
     rows += _robot_rows(robot, QUICK_PAIRS if quick else PAIRS, seed)
     return rows + _noisy_rows(QUICK_FREE_PAIRS if quick else FREE_PAIRS, seed)
