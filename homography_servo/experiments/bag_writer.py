@@ -12,6 +12,7 @@ from collections import Counter
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
+import os
 from pathlib import Path
 import shutil
 import threading
@@ -27,6 +28,7 @@ METADATA_VERSION = 9  # what rosbag2 of Jazzy writes
 LARGE_BYTES = 1 << 16  # what counts as a picture
 SHARE_OF_LARGE = 0.75  # of the queue; the rest is kept for small messages
 CHECK_BYTES, CHECK_S = 1 << 20, 0.25
+RESERVE_BYTES = 8 << 20  # for a chunk and the index, should the disk be full after all
 MB = 1e6
 
 
@@ -91,6 +93,10 @@ class BagWriter:
         self._since_check, self._checked_s = 0, -CHECK_S
         self._connections: dict[str, Any] = {}
         self._bag, self._types = _open(folder)
+        self._reserve = folder / '.reserve'
+        self._safe_offset = 0
+        with suppress(OSError):
+            self._reserve.write_bytes(os.urandom(RESERVE_BYTES))
         self._thread = threading.Thread(target=self._work, name='bag writer', daemon=True)
         self._thread.start()
 
@@ -137,6 +143,7 @@ class BagWriter:
                 self._write(*item)
             except Exception as error:  # whatever the disk or the library does, only this ends
                 self._stop(f'writing failed: {error}')
+                self._rewind()
         self._finish()
         if self.stopped:
             self._on_stop(f'recording ended early: {self.stopped}')
@@ -159,6 +166,7 @@ class BagWriter:
                 channel.topic, channel.msgtype, typestore=self._types,
                 offered_qos_profiles=channel.qos)
         self._bag.write(connection, time_ns, data)
+        self._safe_offset = self._bag.storage.bio.tell()
         self.written += 1
         self.written_bytes += len(data)
 
@@ -182,7 +190,17 @@ class BagWriter:
             self._waiting.clear()
             self._waiting_bytes = 0
 
+    def _rewind(self) -> None:
+        """Make room for the index on a full disk, and drop what was written in part."""
+        with suppress(Exception):
+            self._reserve.unlink()
+            file = self._bag.storage.bio
+            file.seek(self._safe_offset)
+            file.truncate()
+
     def _finish(self) -> None:
+        with suppress(OSError):
+            self._reserve.unlink(missing_ok=True)
         try:
             self._bag.close()
         except Exception as error:

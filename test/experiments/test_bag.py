@@ -169,6 +169,46 @@ def test_a_write_that_fails_ends_the_recording_and_what_came_before_stays(tmp_pa
     assert states(tmp_path / 'bag') == [f'state {k}' for k in range(3)]
 
 
+class FullDisk:
+    """A file on a disk that has room for 2.5 MB more than is held in reserve."""
+
+    def __init__(self, file, reserve: Path) -> None:
+        self._file, self._reserve = file, reserve
+
+    def __getattr__(self, name: str):
+        return getattr(self._file, name)
+
+    def write(self, data: bytes) -> int:
+        if self._reserve.exists() and self._file.tell() + len(data) > 2.5 * MB:
+            self._file.write(bytes(data)[:len(data) // 2])  # a part, as real disks do
+            raise OSError(errno.ENOSPC, 'No space left on device')
+        return self._file.write(data)
+
+
+def test_a_disk_that_is_really_full_leaves_a_bag_that_can_be_played(tmp_path):
+    ended = threading.Event()
+    bag = BagWriter(tmp_path / 'bag', on_stop=lambda sentence: ended.set())
+    storage = bag._bag.storage
+    storage.bio = FullDisk(storage.bio, tmp_path / 'bag' / '.reserve')
+    bag.put(EVENTS, START_NS, text('taught'))
+    for k in range(60):
+        bag.put(PICTURE, START_NS + k, picture(k))
+        bag.put(STATE, START_NS + k, text(f'state {k}'))
+    assert ended.wait(20.0)
+    assert 'No space left' in bag.close() and 'cannot be played' not in bag.stopped
+    assert sorted(path.name for path in (tmp_path / 'bag').iterdir()) == [
+        'bag.mcap', 'metadata.yaml']
+    found = list(read_bag(tmp_path / 'bag', ['image', 'visual_servo/state']))
+    assert 40 < len(found) < 120
+    assert [item.msg.data[0] for item in found[::2]] == list(range(len(found[::2])))
+
+
+def test_nothing_but_the_bag_is_left(tmp_path):
+    recording(tmp_path / 'bag').close()
+    assert sorted(path.name for path in (tmp_path / 'bag').iterdir()) == [
+        'bag.mcap', 'metadata.yaml']
+
+
 def test_an_end_that_cannot_be_written_is_told(tmp_path, monkeypatch):
     bag = BagWriter(tmp_path / 'bag')
 
