@@ -21,6 +21,10 @@ class Region(NamedTuple):
         return (slice(self.top, self.top + self.height),
                 slice(self.left, self.left + self.width))
 
+    def divided(self, times: int) -> Region:
+        """Give the same rectangle on a grid of that many parts per pixel's side."""
+        return Region(*(times * value for value in self))
+
     @property
     def empty(self) -> bool:
         """Tell whether there is no pixel in it."""
@@ -75,7 +79,9 @@ def _running_sum(row: np.ndarray, column: np.ndarray, rise: np.ndarray, inside: 
     areas = np.bincount(np.concatenate([cell, cell + 1]),
                         np.concatenate([rise * (1.0 - inside), rise * inside]),
                         region.height * stride)
-    share = areas.reshape(region.height, stride).cumsum(axis=1)[:, :-1]
+    # Without any cell, bincount counts in whole numbers.
+    share = areas.astype(float, copy=False).reshape(region.height, stride)
+    share = share.cumsum(axis=1)[:, :-1]
     return np.minimum(np.abs(share, out=share), 1.0, out=share)
 
 

@@ -20,6 +20,9 @@ from homography_servo.simulation.occluders import occluder_polygon
 from homography_servo.simulation.scene_settings import SceneSettings
 import numpy as np
 
+SMOOTH = 1.2  # least width of a sampled blur kernel, in samples
+FINEST = 3
+
 
 class Frame(NamedTuple):
     """One picture and its truth; corners and pose are None while the box is away."""
@@ -80,7 +83,8 @@ class Scene:
         rngs = [np.random.default_rng([seed, part]) for part in range(3)]
         self._raw = surfaces.background(camera.width, camera.height, settings, rngs[0])
         self._light = surfaces.light_field(camera.width, camera.height, settings)
-        self._still = self._lit(self._blurred(self._raw), self._whole)
+        self._fineness = _fineness(settings.blur_px)
+        self._still = self._lit(self._blurred(_enlarged(self._raw, self._fineness)), self._whole)
         self._print = FacePrint(camera, face_size_m, settings, rngs[1]) \
             if settings.print_contrast > 0.0 else None
         self._noise = noise  # drawn when it is first needed: that takes a while
@@ -166,38 +170,56 @@ class Scene:
         return self._lit(inner, region)
 
     def _mixed(self, layers: Layers, camera_from_object: np.ndarray, region: Region) -> np.ndarray:
-        behind = self._raw[region.slices].astype(np.float64)
+        """Mix the surfaces of a region on the fine grid."""
+        fine, settings = region.divided(self._fineness), self.settings
+        mixed = _enlarged(self._raw[region.slices], self._fineness)
         if layers.shadow_px is not None:
-            behind *= 1.0 - self.settings.shadow * self._shadow_share(layers.shadow_px, region)
-        mixed, free = np.zeros_like(behind), np.ones_like(behind)
+            mixed *= 1.0 - settings.shadow * self._shadow_share(layers.shadow_px, fine)
+        changes = np.zeros_like(mixed)
         for outline in layers.faces:
-            share = polygon_coverage(outline.polygon_px, region)
-            free -= share
-            mixed += share * self._level(outline.face, camera_from_object, region)
-        mixed += np.maximum(free, 0.0) * behind
+            part, share = self._share(outline.polygon_px, fine)
+            behind = mixed[part]
+            changes[part] += share * (self._level(outline.face, camera_from_object, region, part)
+                                      - behind)
+        mixed += changes
         if layers.occluder_px is not None:
-            share = polygon_coverage(layers.occluder_px, region)
-            mixed += share * (self.settings.occluder_level - mixed)
-        return mixed.astype(np.float32)
+            part, share = self._share(layers.occluder_px, fine)
+            mixed[part] += share * (settings.occluder_level - mixed[part])
+        return mixed
 
-    def _shadow_share(self, shadow_px: np.ndarray, region: Region) -> np.ndarray:
-        share = polygon_coverage(shadow_px, region)
-        soft_px = self.settings.shadow_softness_px
-        return cv2.GaussianBlur(share, (0, 0), soft_px) if soft_px > 0.05 else share
+    def _share(self, polygon_px: np.ndarray,
+               fine: Region) -> tuple[tuple[slice, slice], np.ndarray]:
+        """Give the part of the fine grid that a polygon reaches, and its share of it."""
+        polygon = (polygon_px + 0.5) * self._fineness - 0.5
+        inner = bounding_region(polygon - (fine.left, fine.top), fine.width, fine.height, 1)
+        whole = Region(inner.left + fine.left, inner.top + fine.top, inner.width, inner.height)
+        return inner.slices, polygon_coverage(polygon, whole).astype(np.float32)
 
-    def _level(self, face: int, camera_from_object: np.ndarray,
-               region: Region) -> float | np.ndarray:
+    def _shadow_share(self, shadow_px: np.ndarray, fine: Region) -> np.ndarray:
+        share = np.zeros((fine.height, fine.width), np.float32)
+        part, inner = self._share(shadow_px, fine)
+        share[part] = inner
+        soft = self.settings.shadow_softness_px * self._fineness
+        return cv2.GaussianBlur(share, (0, 0), soft) if soft > 0.05 else share
+
+    def _level(self, face: int, camera_from_object: np.ndarray, region: Region,
+               part: tuple[slice, slice]) -> float | np.ndarray:
         if face == FACE and self._print is not None:
-            return self._print.levels(camera_from_object, region)
+            return _enlarged(self._print.levels(camera_from_object, region),
+                             self._fineness)[part]
         settings = self.settings
         return (settings.face_level, *settings.side_levels, settings.back_level)[face]
 
-    def _blurred(self, image: np.ndarray) -> np.ndarray:
-        sigma = self.settings.blur_px
-        if sigma < 0.05:
-            return image
-        size = 1 + 2 * math.ceil(4.0 * sigma)
-        return cv2.GaussianBlur(image, (size, size), sigma)
+    def _blurred(self, fine: np.ndarray) -> np.ndarray:
+        """Blur on the fine grid, then let every pixel collect its part of it."""
+        sigma = self.settings.blur_px * self._fineness
+        if sigma >= 0.05:
+            size = 1 + 2 * math.ceil(4.0 * sigma)
+            fine = cv2.GaussianBlur(fine, (size, size), sigma)
+        if self._fineness == 1:
+            return fine
+        height, width = (length // self._fineness for length in fine.shape)
+        return cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA)
 
     def _lit(self, image: np.ndarray, region: Region) -> np.ndarray:
         return image if self._light is None else image * self._light[region.slices]
@@ -213,3 +235,19 @@ def _grown(region: Region, pad: int, limits: Region) -> Region:
     right = min(region.left + region.width + pad, limits.width)
     bottom = min(region.top + region.height + pad, limits.height)
     return Region(left, top, right - left, bottom - top)
+
+
+def _fineness(blur_px: float) -> int:
+    """
+    Give the number of parts that a pixel's side needs for the blur to be a Gaussian's.
+
+    A kernel sampled coarser than its width makes edges piecewise straight, which a lens
+    does not; without blur the exact areas of whole pixels are all there is.
+    """
+    return 1 if blur_px < 0.05 else min(max(math.ceil(SMOOTH / blur_px), 1), FINEST)
+
+
+def _enlarged(image: np.ndarray, times: int) -> np.ndarray:
+    if times == 1:
+        return image.astype(np.float32, copy=True)
+    return image.repeat(times, axis=0).repeat(times, axis=1).astype(np.float32, copy=False)

@@ -13,6 +13,7 @@ from scene_views import CLEAN
 from scene_views import FACE_M
 from scene_views import pose
 from scene_views import random_pose
+from scipy.stats import norm
 
 
 def edge_offset_px(image: np.ndarray, first: np.ndarray, second: np.ndarray) -> float:
@@ -119,3 +120,19 @@ def test_a_pose_behind_or_outside_shows_the_background():
         assert np.isfinite(picture).all()
         if away[2, 3] != 0.001:
             assert np.array_equal(picture, background)
+
+
+@pytest.mark.parametrize('blur_px', [0.4, 0.6, 1.0, 2.0])
+def test_blurred_edges_have_the_profile_of_a_gaussian_lens(blur_px):
+    """A pixel collects the Gaussian-blurred step over its own width, wherever it lies."""
+    scene = Scene(CAMERA, (0.3, 0.2), 0.0, replace(CLEAN, blur_px=blur_px))
+    columns = np.arange(CAMERA.width)
+    for shift_px in np.linspace(0.0, 1.0, 11):
+        camera_from_object = pose(shift_px * 0.75 / CAMERA.fx)
+        edge_px = scene.corners(camera_from_object)[0, 0]
+        row = scene.clean(camera_from_object)[CAMERA.height // 2]
+        near = np.abs(columns - edge_px) < 9.0
+        ends = columns[near][:, None] - edge_px + (-0.5, 0.5)
+        collected = ends * norm.cdf(ends / blur_px) + blur_px * norm.pdf(ends / blur_px)
+        expected = 50.0 + 150.0 * np.diff(collected, axis=1)[:, 0]
+        assert row[near] == pytest.approx(expected, abs=0.015 * 150.0)
