@@ -36,7 +36,7 @@ LENS_GUESS = 1.2  # focal length over image width of a camera nobody calibrated
 SLACK = 1.5  # for distances measured with it
 STEEPEST = 0.35  # cosine of the largest tilt
 LOOKED_AT = 14  # candidates fitted at most
-LEAST_SCORE = 0.45
+LEAST_SCORE = 0.5
 CONVINCING = 0.75  # score that ends the search
 CLEAR_GREY = 10.0  # contrast that is no noise
 EVEN_GREY = 12.0  # differences that a face of one colour may show
@@ -178,7 +178,7 @@ def examine(image: np.ndarray, quad: np.ndarray, target: Target, plane: Plane,
     if isinstance(fit, Rejected):
         return fit
     quality = fit.quality
-    if quality.inlier_share < 0.7 or quality.side_share.min() < 0.4:
+    if quality.inlier_share < 0.55 or quality.side_share.min() < 0.15:
         return Rejected('the edges do not support the quadrilateral')
     pose, miss_px, turns = best_pose(fit.corners, target.face_size_m, plane)
     allowed_px = 0.4 + (0.03 if target.guessed_lens else 0.01) * _size(fit.corners)

@@ -10,8 +10,8 @@ import numpy as np
 
 SMALLER_BY = 2  # the picture is searched at this fraction of its size
 LEAST_IMAGE_PX = 16
-THRESHOLDS = 7
-CANNY_GREY = (30, 70)
+THRESHOLDS = 11
+CANNY_GREY = (15, 40)
 SAME_PX = 4.0
 STRAIGHT_PX = 1.5  # how far an outline may leave a straight side
 LONGEST_SIDES = 7  # of an outline that may be sides of the face

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
-from geometry_msgs.msg import PolygonStamped  # noqa: E402
+from geometry_msgs.msg import PolygonStamped  # noqa: E402, I100
 from homography_servo.nodes.kit import images_qos  # noqa: E402
 from homography_servo.nodes.kit import LATCHED  # noqa: E402
 from sensor_msgs.msg import CameraInfo  # noqa: E402

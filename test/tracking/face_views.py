@@ -35,7 +35,7 @@ def swing(index, tilt=15.0, turn=20.0, reach_m=0.05):
 
 
 def told(corners_px, **settings):
-    """Settings of a tracker that is told where the face is."""
+    """Make settings for a tracker that is told where the face is."""
     return TrackerSettings(initial_corners_px=tuple(float(v) for v in np.ravel(corners_px)),
                            **settings)
 
