@@ -20,22 +20,24 @@ from typing import Any, Sequence
 from homography_servo.experiments.bag import BagError
 from homography_servo.experiments.report import print_summary
 from homography_servo.experiments.report import write_report
-from homography_servo.experiments.trial_bag import free_folder
+from homography_servo.experiments.trial_bag import begin_bag
+from homography_servo.experiments.trial_bag import recorder_of
 from homography_servo.experiments.trial_bag import trial_from_bag
 from homography_servo.nodes.__main__ import PARENT
 from homography_servo.nodes.run import EXIT_CONFIG
 from homography_servo.nodes.run import SignalWatch
-from homography_servo.nodes.trial_client import TOPICS
 from homography_servo.nodes.trial_client import TrialClient
 from homography_servo.nodes.trial_client import TrialError
 from homography_servo.nodes.trial_log import ENDED
 from homography_servo.nodes.trial_log import STARTED
 from homography_servo.nodes.trial_log import TAUGHT
+from homography_servo.nodes.trial_log import TrialLog
 import numpy as np
 
 START_DEG = (-50.0, 40.0, 10.0, -10.0, 0.0, -20.0)
 GOAL_DEG = (-5.0, 40.0, 10.0, -10.0, 0.0, -20.0)
 STUCK_S = 30.0
+REST_S = 2.5
 EXIT_OK, EXIT_FAILED = 0, 1
 
 
@@ -154,6 +156,10 @@ def wait_for_sight(client: TrialClient) -> None:
     client.wait(lambda: client.state('snake_tracker') == 'TRACKING', 20.0,
                 f'the tracker does not see the face: {client.state("snake_tracker")}')
     client.fresh('object/corners', 5.0, 'the tracker sends no corners')
+    # A side of the box that has come into view is told from the face the better the longer
+    # it has been seen; teaching and planning average the looks of the last two seconds.
+    rested_s = time.monotonic() + REST_S
+    client.wait(lambda: time.monotonic() > rested_s, 2.0 * REST_S, 'the clock stands still')
 
 
 def servo(client: TrialClient, sentence: str, timeout_s: float) -> str:
@@ -200,35 +206,6 @@ def experiment(client: TrialClient, options: argparse.Namespace) -> None:
     client.event(f'{ENDED}: {ending}')
 
 
-def open_bag(options: argparse.Namespace) -> Any:
-    """Begin the recording that was asked for; None when none was."""
-    if options.record is None:
-        return None
-    from homography_servo.experiments.bag_writer import BagSettings
-    from homography_servo.experiments.bag_writer import BagWriter
-    folder = Path(options.record) if options.record else free_folder(options.output / 'bag')
-    try:
-        settings = BagSettings(keep_free_mb=options.keep_free)
-    except ValueError as error:
-        raise BagError(f'--keep-free: {error}') from error
-    return BagWriter(folder, settings, on_stop=lambda sentence: print(sentence, flush=True))
-
-
-def recorder_of(bag: Any) -> Any:
-    """Subscribe on behalf of a recording."""
-    from homography_servo.nodes.recorder import ALSO_RECORDED
-    from homography_servo.nodes.recorder import Recorder
-    return Recorder(bag, (*TOPICS, *ALSO_RECORDED))
-
-
-def report_again(options: argparse.Namespace) -> int:
-    """Write the report of a recording."""
-    log = trial_from_bag(options.from_bag)
-    write_report(log.data, options.output, log.camera())
-    print_summary(log.data, options.output)
-    return EXIT_OK if log.data.converged else EXIT_FAILED
-
-
 def main(args: Sequence[str] | None = None) -> int:
     """Run the trial and the report."""
     options = parser().parse_args(args)
@@ -236,8 +213,9 @@ def main(args: Sequence[str] | None = None) -> int:
         parser().error(f'--poses must be at least 2, got {options.poses}')
     try:
         if options.from_bag:
-            return report_again(options)
-        bag = open_bag(options)
+            return report(trial_from_bag(options.from_bag), options)
+        bag = None if options.record is None else begin_bag(
+            options.record, options.output, options.keep_free)
     except BagError as error:
         print(error, file=sys.stderr, flush=True)
         return EXIT_CONFIG
@@ -267,11 +245,17 @@ def run(options: argparse.Namespace, bag: Any) -> int:
         client.close()
         if bringup:
             bringup.end()
-    write_report(client.log.data, options.output, client.log.camera())
-    print_summary(client.log.data, options.output)
-    if bringup and bringup.process.returncode in (2, 3) and not client.log.data.converged:
+    code = report(client.log, options)
+    if code and bringup and bringup.process.returncode in (2, 3):
         return bringup.process.returncode
-    return EXIT_OK if client.log.data.converged else EXIT_FAILED
+    return code
+
+
+def report(log: TrialLog, options: argparse.Namespace) -> int:
+    """Write and print the report; gives the exit code."""
+    write_report(log.data, options.output, log.camera())
+    print_summary(log.data, options.output)
+    return EXIT_OK if log.data.converged else EXIT_FAILED
 
 
 if __name__ == '__main__':
