@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 import sys
 import time
+from typing import Any, Callable
 
 from homography_servo.errors import ConfigError
 from homography_servo.errors import HardwareError
@@ -25,14 +26,14 @@ from homography_servo.nodes.transforms import fixed_frames
 from homography_servo.nodes.transforms import Transforms
 from homography_servo.places import find_config
 from homography_servo.result import Rejected
-from homography_servo.robot.arm_thread import ArmThread
+from homography_servo.robot.arm import Arm
 from homography_servo.robot.driver import ArmDriver
 from homography_servo.robot.driver import DriverSettings
 from homography_servo.robot.limits import joint_order
-from homography_servo.robot.link import Link
-from homography_servo.robot.port import Port
+from homography_servo.robot.port import LogError
 from homography_servo.robot.port import PortSettings
 from homography_servo.robot.rivals import Rivals
+from homography_servo.robot.rivals import Turns
 from homography_servo.robot.robot_file import load_robot
 from homography_servo.robot.robot_model import Robot
 from homography_servo.robot.trajectory import TrajectoryPoint
@@ -81,9 +82,8 @@ class RobixBridge(NodeKit, LifecycleNode):
         super().__init__(self.NAME, **kwargs)
         self._settings = Parameters(self, *self.SETTINGS)
         self._robot = self._load()
-        self._port: Port | None = None
-        self._driver: ArmDriver | None = None
-        self._thread: ArmThread | None = None
+        self._arm: Arm | None = None
+        self._topics = Turns()
         self._shown_state = self._shown_problem = ''
         self._rivals = {'joint_trajectory': Rivals(), 'joint_commands': Rivals()}
         self._settings.on_change(self._on_parameters)
@@ -118,30 +118,24 @@ class RobixBridge(NodeKit, LifecycleNode):
 
     # --- life -------------------------------------------------------------------------
 
+    @property
+    def _driver(self) -> ArmDriver | None:
+        arm = self._arm
+        return arm.driver if arm else None
+
     def _open(self) -> None:
         """Open the port; HardwareError says why that fails."""
-        if self._thread is not None:
+        if self._arm is not None:
             return
-        settings, port = self._settings[DriverSettings], self._settings[PortSettings]
-        servos = max(6, *(joint.channel for joint in self._robot.joints))
         try:
-            self._port = Port(port, settings.baud, servos, settings.tick_s)
+            self._arm = Arm(self._robot, *(self._settings[kind] for kind in (
+                PortSettings, DriverSettings, TrajectorySettings)))
         except ValueError as error:
             raise ConfigError(self.NAME, 0, 'fake_faults', str(error)) from error
-        except LinkError as error:
+        except LogError as error:
             raise ConfigError(self.NAME, 0, 'session_log', str(error)) from error
-        first = time.monotonic_ns() // 1000 % 60000 + 1  # differs from the run before
-        link = Link(self._port.open, settings.baud, first)
-        self._driver = ArmDriver(self._robot, link, settings,
-                                 self._settings[TrajectorySettings])
-        try:
-            link.open_now()
         except LinkError as error:
-            self._port.close()
-            self._port = self._driver = None
             raise HardwareError(str(error)) from error
-        self._thread = ArmThread(self._driver)
-        self._thread.start()
 
     def on_configure(self, state) -> TransitionCallbackReturn:
         """Open the port."""
@@ -179,13 +173,9 @@ class RobixBridge(NodeKit, LifecycleNode):
         return super().on_error(state)
 
     def _release(self) -> None:
-        if self._thread is None:
-            return
-        self._driver.active = False
-        self._driver.quit(time.monotonic())
-        self._thread.stop()
-        self._port.close()
-        self._thread = self._driver = self._port = None
+        arm, self._arm = self._arm, None
+        if arm is not None:
+            arm.close()
 
     def on_signal(self) -> None:
         """Stop a moving arm at once."""
@@ -213,11 +203,11 @@ class RobixBridge(NodeKit, LifecycleNode):
 
     def _on_trajectory(self, msg: JointTrajectory, info: dict) -> None:
         if self._may_command('joint_trajectory', info):
-            self._offer('joint_trajectory', lambda now_s: self._run_trajectory(msg, now_s))
+            self._offer('joint_trajectory', self._run_trajectory, msg)
 
     def _on_command(self, msg: JointState, info: dict) -> None:
         if self._may_command('joint_commands', info):
-            self._offer('joint_commands', lambda now_s: self._run_command(msg, now_s))
+            self._offer('joint_commands', self._run_command, msg)
 
     def _may_command(self, topic: str, info: dict) -> bool:
         """Find two publishers by the numbers of their messages."""
@@ -226,40 +216,44 @@ class RobixBridge(NodeKit, LifecycleNode):
         if self._driver is None:
             self.reject(topic, 'the port is not open; configure the node first')
             return False
-        if self._rivals[topic].meet(int(info['publication_sequence_number']), now_s):
+        number = int(info['publication_sequence_number'])
+        if self._rivals[topic].meet(number, now_s) or self._topics.meet(topic, now_s):
             self.reject(topic, TWO_COMMAND)
             self._driver.hold(TWO_COMMAND, now_s, self._settings[DriverSettings].rival_hold_s)
             return False
         return True
 
-    def _offer(self, topic: str, run) -> None:
+    def _offer(self, topic: str, run: Callable, msg: Any) -> None:
         """Leave a command to the thread of the port: a flood must not delay a stop."""
+        driver = self._driver
+
         def judged(now_s: float) -> None:
             try:
-                problem = run(now_s)
+                problem = run(driver, msg, now_s)
             except Exception as error:  # data must never end the thread of the port
                 self._failed(run, error)
                 return
             if problem is not None:
                 self.reject(topic, problem.reason)
-        self._driver.offer(judged)
-        self._thread.wake()
+        driver.offer(judged)
+        self._arm.wake()
 
-    def _run_trajectory(self, msg: JointTrajectory, now_s: float) -> Rejected | None:
+    def _run_trajectory(self, driver: ArmDriver, msg: JointTrajectory, now_s: float
+                        ) -> Rejected | None:
         points = [TrajectoryPoint(seconds_from_duration(point.time_from_start),
                                   point.positions, point.velocities, point.accelerations,
                                   point.effort) for point in msg.points]
-        return self._driver.command(msg.joint_names, points, now_s,
-                                    seconds_from_stamp(msg.header.stamp),
-                                    1e-9 * self.get_clock().now().nanoseconds)
+        return driver.command(msg.joint_names, points, now_s,
+                              seconds_from_stamp(msg.header.stamp),
+                              1e-9 * self.get_clock().now().nanoseconds)
 
-    def _run_command(self, msg: JointState, now_s: float) -> Rejected | None:
-        order = joint_order(self._driver.limits, msg.name)
+    def _run_command(self, driver: ArmDriver, msg: JointState, now_s: float) -> Rejected | None:
+        order = joint_order(driver.limits, msg.name)
         if isinstance(order, Rejected):
             return order
         if len(msg.position) != len(msg.name):
             return Rejected(f'{len(msg.name)} names but {len(msg.position)} positions')
-        return self._driver.go([msg.position[index] for index in order], now_s)
+        return driver.go([msg.position[index] for index in order], now_s)
 
     # --- services ---------------------------------------------------------------------
 
@@ -290,9 +284,9 @@ class RobixBridge(NodeKit, LifecycleNode):
     def _told(self, action, success: str, *args) -> tuple[bool, str]:
         if self._driver is None:
             return False, 'the port is not open; configure the node first'
-        self._thread.wake()
+        self._arm.wake()
         problem = action(*args)
-        self._thread.wake()
+        self._arm.wake()
         self._publish_state()
         return (True, success) if problem is None else (False, problem.reason)
 
@@ -325,9 +319,8 @@ class RobixBridge(NodeKit, LifecycleNode):
         if self._driver is None:
             return [Health('link', WARN, 'the port is not open')]
         driver = self._driver
-        values = {'port': self._port.url, 'device': driver.device,
-                  'longest_turn_s': self._thread.longest_turn_s, **driver.all_counts}
-        self._thread.longest_turn_s = 0.0
+        values = {'port': self._arm.url, 'device': driver.device,
+                  'longest_turn_s': self._arm.take_longest_turn_s(), **driver.all_counts}
         level = OK if not driver.problem else ERROR
         state = driver.state
         bad = state.startswith(('HOLD', 'LATCHED', 'DISCONNECTED'))

@@ -34,6 +34,10 @@ class PortSettings(Settings):
                          read_only=True)
 
 
+class LogError(LinkError):
+    """A log cannot be written."""
+
+
 class SessionLog:
     """A text file of both directions; a full disk ends the log, not the session."""
 
@@ -41,7 +45,7 @@ class SessionLog:
         try:
             self._file = open(path, 'a', buffering=1, encoding='ascii')
         except OSError as error:
-            raise LinkError(f'the session log {path} cannot be written: {error}') from error
+            raise LogError(f'the session log {path} cannot be written: {error}') from error
 
     def add(self, arrow: str, data: bytes) -> None:
         """Write steady time, direction and bytes."""
@@ -122,8 +126,12 @@ class Port:
             faults = [parse_fault(item) for item in settings.fake_faults]
             pty = PtyPort()
             self.url = pty.path
-            self._emulator = Emulator(Device(servos, 'fake', tick_s), pty, faults,
-                                      settings.fake_log or None)
+            try:
+                self._emulator = Emulator(Device(servos, 'fake', tick_s), pty, faults,
+                                          settings.fake_log or None)
+            except OSError as error:
+                raise LogError(f'the log {settings.fake_log} cannot be written: {error}') \
+                    from error
             self._emulator.start()
 
     def open(self) -> Transport:

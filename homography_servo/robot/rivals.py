@@ -36,3 +36,22 @@ class Rivals:
 
     def _recent(self, seen: tuple[int, float] | None, now_s: float) -> int | None:
         return seen[0] if seen and now_s - seen[1] <= self._memory_s else None
+
+
+class Turns:
+    """Notice commands on two topics that take turns: back to the first within a moment."""
+
+    def __init__(self, memory_s: float = 0.5) -> None:
+        self._memory_s = memory_s
+        self._now, self._since_s = '', 0.0
+        self._before, self._until_s = '', 0.0
+
+    def meet(self, topic: str, now_s: float) -> bool:
+        """Take the topic of a command; True when it was another one in between."""
+        if topic == self._now:
+            self._since_s = now_s
+            return False
+        back = topic == self._before and now_s - self._until_s <= self._memory_s
+        self._before, self._until_s = self._now, self._since_s
+        self._now, self._since_s = topic, now_s
+        return back

@@ -12,6 +12,7 @@ from homography_servo.robot.profile import together
 from homography_servo.robot.protocol import MAX_LINE
 from homography_servo.robot.protocol import Request
 from homography_servo.robot.rivals import Rivals
+from homography_servo.robot.rivals import Turns
 from homography_servo.robot.wire import ServoWire
 from link_setup import ROBOT
 import numpy as np
@@ -98,6 +99,15 @@ def test_two_are_noticed_within_two_messages_of_each(first, second):
 def test_what_was_long_ago_does_not_count():
     rivals = Rivals(memory_s=1.0)
     assert not any([rivals.meet(10, 0.0), rivals.meet(1, 0.1), rivals.meet(11, 2.0)])
+
+
+@pytest.mark.parametrize('topics, period_s, found', [
+    ('aaaabbbb', 0.02, False), ('abab', 0.02, True), ('aba', 0.3, False), ('aaba', 0.1, True),
+    ('ab', 0.01, False),
+])
+def test_two_topics_that_take_turns_are_noticed(topics, period_s, found):
+    turns = Turns()
+    assert any([turns.meet(t, 7.0 + k * period_s) for k, t in enumerate(topics)]) == found
 
 
 # --- estimate ----------------------------------------------------------------------------
