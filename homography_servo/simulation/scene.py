@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import cv2
 from homography_servo.geometry.camera import Camera
+from homography_servo.simulation import lens
 from homography_servo.simulation import surfaces
 from homography_servo.simulation.box import BoxView
 from homography_servo.simulation.box import FACE
@@ -19,9 +20,6 @@ from homography_servo.simulation.occluders import box_present
 from homography_servo.simulation.occluders import occluder_polygon
 from homography_servo.simulation.scene_settings import SceneSettings
 import numpy as np
-
-SMOOTH = 1.2  # least width of a sampled blur kernel, in samples
-FINEST = 3
 
 
 class Frame(NamedTuple):
@@ -83,8 +81,9 @@ class Scene:
         rngs = [np.random.default_rng([seed, part]) for part in range(3)]
         self._raw = surfaces.background(camera.width, camera.height, settings, rngs[0])
         self._light = surfaces.light_field(camera.width, camera.height, settings)
-        self._fineness = _fineness(settings.blur_px)
-        self._still = self._lit(self._blurred(_enlarged(self._raw, self._fineness)), self._whole)
+        self._fineness = lens.fineness(settings.blur_px)
+        still = self._blurred(lens.enlarged(self._raw, self._fineness))
+        self._still = self._lit(still, self._whole)
         self._print = FacePrint(camera, face_size_m, settings, rngs[1]) \
             if settings.print_contrast > 0.0 else None
         self._noise = noise  # drawn when it is first needed: that takes a while
@@ -115,14 +114,20 @@ class Scene:
         """
         present = camera_from_object is not None and box_present(self.settings, time_s)
         pose = camera_from_object if present else None
-        clean = self.clean(pose, time_s)
         if self._noise is None:
             self._noise = surfaces.NoiseStore(self.camera.width, self.camera.height,
                                               self._noise_rng)
         noise = self._noise.frame(np.random.default_rng([self._seed, 3, index]))
-        image = cv2.addWeighted(clean, 1.0, noise, self.settings.noise_grey, 0.0,
-                                dtype=cv2.CV_8U)
+        image = self._exposed(self._still, noise, time_s)
+        drawn = self._drawn(pose, time_s)
+        if drawn is not None:
+            region, patch = drawn
+            image[region.slices] = self._exposed(patch, noise[region.slices], time_s)
         return Frame(image, None if pose is None else self.corners(pose), pose)
+
+    def _exposed(self, clean: np.ndarray, noise: np.ndarray, time_s: float) -> np.ndarray:
+        return cv2.addWeighted(clean, self.flicker(time_s), noise, self.settings.noise_grey, 0.0,
+                               dtype=cv2.CV_8U)
 
     def corners(self, camera_from_object: np.ndarray) -> np.ndarray:
         """Project the corners of the face (4, 2), wherever they are."""
@@ -131,13 +136,21 @@ class Scene:
     def clean(self, camera_from_object: np.ndarray | None, time_s: float = 0.0) -> np.ndarray:
         """Render without noise and rounding: (H, W) float32 grey levels."""
         canvas = self._still.copy()
-        if camera_from_object is not None:
-            layers = self.layers(camera_from_object, time_s)
-            region = self.region(layers.points_px)
-            if not region.empty:
-                canvas[region.slices] = self.patch(layers, camera_from_object, region)
+        drawn = self._drawn(camera_from_object, time_s)
+        if drawn is not None:
+            region, patch = drawn
+            canvas[region.slices] = patch
         gain = self.flicker(time_s)
         return canvas if gain == 1.0 else canvas * np.float32(gain)
+
+    def _drawn(self, camera_from_object: np.ndarray | None,
+               time_s: float) -> tuple[Region, np.ndarray] | None:
+        """Render the region that the box changes; None where it changes nothing."""
+        if camera_from_object is None:
+            return None
+        layers = self.layers(camera_from_object, time_s)
+        region = self.region(layers.points_px)
+        return None if region.empty else (region, self.patch(layers, camera_from_object, region))
 
     def layers(self, camera_from_object: np.ndarray, time_s: float = 0.0) -> Layers:
         """Find the outlines of shadow, visible faces and occluder."""
@@ -172,7 +185,7 @@ class Scene:
     def _mixed(self, layers: Layers, camera_from_object: np.ndarray, region: Region) -> np.ndarray:
         """Mix the surfaces of a region on the fine grid."""
         fine, settings = region.divided(self._fineness), self.settings
-        mixed = _enlarged(self._raw[region.slices], self._fineness)
+        mixed = lens.enlarged(self._raw[region.slices], self._fineness)
         if layers.shadow_px is not None:
             mixed *= 1.0 - settings.shadow * self._shadow_share(layers.shadow_px, fine)
         changes = np.zeros_like(mixed)
@@ -205,21 +218,13 @@ class Scene:
     def _level(self, face: int, camera_from_object: np.ndarray, region: Region,
                part: tuple[slice, slice]) -> float | np.ndarray:
         if face == FACE and self._print is not None:
-            return _enlarged(self._print.levels(camera_from_object, region),
-                             self._fineness)[part]
+            levels = self._print.levels(camera_from_object, region)
+            return lens.enlarged(levels, self._fineness)[part]
         settings = self.settings
         return (settings.face_level, *settings.side_levels, settings.back_level)[face]
 
     def _blurred(self, fine: np.ndarray) -> np.ndarray:
-        """Blur on the fine grid, then let every pixel collect its part of it."""
-        sigma = self.settings.blur_px * self._fineness
-        if sigma >= 0.05:
-            size = 1 + 2 * math.ceil(4.0 * sigma)
-            fine = cv2.GaussianBlur(fine, (size, size), sigma)
-        if self._fineness == 1:
-            return fine
-        height, width = (length // self._fineness for length in fine.shape)
-        return cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA)
+        return lens.blurred(fine, self.settings.blur_px, self._fineness)
 
     def _lit(self, image: np.ndarray, region: Region) -> np.ndarray:
         return image if self._light is None else image * self._light[region.slices]
@@ -235,19 +240,3 @@ def _grown(region: Region, pad: int, limits: Region) -> Region:
     right = min(region.left + region.width + pad, limits.width)
     bottom = min(region.top + region.height + pad, limits.height)
     return Region(left, top, right - left, bottom - top)
-
-
-def _fineness(blur_px: float) -> int:
-    """
-    Give the number of parts that a pixel's side needs for the blur to be a Gaussian's.
-
-    A kernel sampled coarser than its width makes edges piecewise straight, which a lens
-    does not; without blur the exact areas of whole pixels are all there is.
-    """
-    return 1 if blur_px < 0.05 else min(max(math.ceil(SMOOTH / blur_px), 1), FINEST)
-
-
-def _enlarged(image: np.ndarray, times: int) -> np.ndarray:
-    if times == 1:
-        return image.astype(np.float32, copy=True)
-    return image.repeat(times, axis=0).repeat(times, axis=1).astype(np.float32, copy=False)

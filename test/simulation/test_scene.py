@@ -78,6 +78,18 @@ def test_pictures_repeat_with_seed_and_index_and_differ_otherwise():
         assert not np.array_equal(first, other.image_grey)
 
 
+@pytest.mark.parametrize('camera', [CAMERA, BENT], ids=['straight', 'bent'])
+def test_without_noise_a_picture_is_the_rounded_clean_one(camera):
+    settings = SceneSettings(noise_grey=0.0, shadow=0.5, clutter=0.5, gradient=0.3, flicker=0.2,
+                             print_contrast=80.0, occluder='side')
+    scene, rng = Scene(camera, FACE_M, 0.04, settings), np.random.default_rng(2)
+    for time_s in (0.31, 1.7):
+        camera_from_object = random_pose(rng)
+        picture = scene.render(camera_from_object, time_s).image_grey
+        clean = np.clip(scene.clean(camera_from_object, time_s), 0.0, 255.0)
+        assert np.abs(picture - clean.astype(float)).max() < 0.5 + 1e-3
+
+
 def test_noise_has_the_strength_that_was_asked_for():
     for sigma in (0.0, 3.0, 10.0):
         scene = Scene(CAMERA, FACE_M, 0.0, SceneSettings(noise_grey=sigma))
