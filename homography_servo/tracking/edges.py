@@ -43,6 +43,8 @@ class Edges(NamedTuple):
     outside: np.ndarray  # grey level
     residual: np.ndarray  # mean squared deviation of the pixels from the model
     lines: np.ndarray  # scan lines in the segment
+    known: Known
+    common: float  # offset that all segments share
     second: SecondEdge | None
 
     @property
@@ -52,6 +54,14 @@ class Edges(NamedTuple):
         if self.second is not None:
             single[self.second.segment] = False
         return single
+
+
+class Known(NamedTuple):
+    """Grey levels from other pixels than those across the edge, outside and inside."""
+
+    pixels: np.ndarray  # (2, s) how many they count for
+    grey: np.ndarray  # (2, s) sum of their grey levels
+    alone: np.ndarray  # (s,) share of the offset's information kept without other segments
 
 
 class SecondEdge(NamedTuple):
@@ -81,7 +91,7 @@ class Sums(NamedTuple):
 
 
 def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
-                  strips: Strips | None = None) -> Edges:
+                  strips: Strips | None = None, known: Known | None = None) -> Edges:
     """
     Fit the edge profile in every segment.
 
@@ -95,6 +105,8 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
         The blurred edge.
     strips : Strips or None
         Sides of a box that show beside the face.
+    known : Known or None
+        What an earlier step in the same picture found out about the grey levels.
 
     Returns
     -------
@@ -112,19 +124,22 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
     if strips is not None:
         back = strips.mix_in(scan, profile, place, scale, share, slope)
     sums = _sums(scan, share, slope)
-    outside, contrast, kept, residual = _levels(sums, scan, step)
+    levels, kept, residual, known = _levels(sums, scan, step, known)
+    outside, contrast = levels[0], levels[1] - levels[0]
     response = sums.slope_grey - outside * sums.slope - contrast * sums.slope_share
     energy = np.maximum(sums.slope_slope * kept, 1e-9)
     safe = np.where(np.abs(contrast) < 1e-3, 1e-3, contrast)
     pixel = 1.0 if scale is None else 1.0 / scale.take(scan.layout.first_line)
+    inward, common = _with_common(-pixel * _straightened(response / (safe * energy),
+                                                         profile.sigma_px),
+                                  safe * safe * energy / residual, kept / known.alone)
     side = scan.layout.segment_side
     second = None if back is None else _second(scan, back, share, slope, outside, contrast,
                                                residual / kept)
     return Edges(side, sums.slope_along / np.maximum(sums.slope_slope, 1e-9),
                  geometry.normal_u.take(side), geometry.normal_v.take(side),
-                 -pixel * _straightened(response / (safe * energy), profile.sigma_px),
-                 pixel * pixel * residual / (safe * safe * energy), contrast, outside, residual,
-                 scan.layout.lines, second)
+                 inward, pixel * pixel * residual / (safe * safe * energy), contrast, outside, residual,
+                 scan.layout.lines, known, common, second)
 
 
 def line_distances(scan: Scan, geometry: Geometry) -> tuple[np.ndarray, ...]:
@@ -170,6 +185,20 @@ def _cut_corners(scan: Scan, geometry: Geometry, profile: EdgeProfile, first: np
                                   + half * (away * away / variance - 1.0))
 
 
+def _with_common(inward: np.ndarray, precision: np.ndarray,
+                 shared: np.ndarray) -> tuple[np.ndarray, float]:
+    """
+    Lengthen the offset that all segments share.
+
+    Grey levels learnt from each other give in to an offset of all sides at once, so
+    that its linear step comes out short by what was learnt.
+    """
+    weight = np.minimum(precision, 4.0 * middle(precision))
+    common = float(weight @ inward / weight.sum())
+    lengthened = common * (float(weight @ shared / weight.sum()) - 1.0)
+    return inward + lengthened, common + lengthened
+
+
 def _sums(scan: Scan, share: np.ndarray, slope: np.ndarray) -> Sums:
     table = np.empty((8, share.shape[1]), np.float32)
     np.add.reduce(share, axis=0, out=table[0])
@@ -184,15 +213,16 @@ def _sums(scan: Scan, share: np.ndarray, slope: np.ndarray) -> Sums:
     return Sums(scan.layout.lines * float(len(share)), scan.grey_sum, *total)
 
 
-def _levels(sums: Sums, scan: Scan, step: np.ndarray) -> tuple[np.ndarray, ...]:
+def _levels(sums: Sums, scan: Scan, step: np.ndarray,
+            known: Known | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, Known]:
     """
     Fit the grey levels of each segment.
 
     Returns
     -------
-    four (s,) arrays
-        Level outside, contrast, share of the offset's information that is left when
-        the levels are unknown, and mean squared deviation.
+    (2, s) array, (s,) array, (s,) array, Known
+        Levels outside and inside, share of the offset's information that is left when
+        they are unknown, mean squared deviation, and what to use in the next step.
 
     """
     levels = _two_levels(sums)
@@ -200,20 +230,27 @@ def _levels(sums: Sums, scan: Scan, step: np.ndarray) -> tuple[np.ndarray, ...]:
     missed = scan.grey_square - levels[0] * (sums.grey - sums.share_grey) \
         - levels[1] * sums.share_grey
     residual = np.maximum(missed, 0.01) / (sums.one - 2.0)
-    # Far pixels pin the levels down where they have the same level as the near ones.
+    if known is None:
+        known = _learn_levels(sums, scan, step, levels, middle(residual))
+    sums = _with_pixels(sums, known)
+    return _two_levels(sums), _kept(sums), residual, known
+
+
+def _learn_levels(sums: Sums, scan: Scan, step: np.ndarray, levels: np.ndarray,
+                  noise: float) -> Known:
+    """Let far pixels and other segments pin the levels down as far as they are alike."""
     rising = step.take(scan.layout.first_line) > 0.0
     far = np.empty_like(levels)
     far[1] = np.where(rising, scan.high_sum, scan.low_sum)
     far[0] = scan.high_sum + scan.low_sum - far[1]
-    noise, pixels = middle(residual), FAR_PX * scan.layout.lines
+    pixels = FAR_PX * scan.layout.lines
     far /= pixels
     near = np.stack([sums.one - sums.share, sums.share])
     counted = _alike(far, levels, near, pixels, noise)
-    sums = _with_pixels(sums, counted, far)
-    counted, common = _common(_two_levels(sums), near + counted, noise)
-    sums = _with_pixels(sums, counted, common)
-    outside, inside = _two_levels(sums)
-    return outside, inside - outside, _kept(sums), residual
+    far *= counted
+    sums = _with_pixels(sums, Known(counted, far, noise))
+    shared, common = _common(_two_levels(sums), near + counted, noise)
+    return Known(counted + shared, far + shared * common, _kept(sums))
 
 
 def _two_levels(sums: Sums) -> np.ndarray:
@@ -238,12 +275,12 @@ def _kept(sums: Sums) -> np.ndarray:
     return np.maximum(1.0 - taken / (_determinant(sums) * sums.slope_slope + 1e-9), 0.1)
 
 
-def _with_pixels(sums: Sums, counted: np.ndarray, grey: np.ndarray) -> Sums:
-    """Add pixels of known grey level (2, s) far outside and far inside."""
-    more = counted * grey
-    return Sums(sums.one + counted[0] + counted[1], sums.grey + more[0] + more[1],
-                sums.share + counted[1], sums.share_share + counted[1],
-                sums.share_grey + more[1], *sums[5:])
+def _with_pixels(sums: Sums, known: Known) -> Sums:
+    """Add pixels of known grey level far outside and far inside."""
+    (pixels_out, pixels_in), (grey_out, grey_in) = known.pixels, known.grey
+    return Sums(sums.one + pixels_out + pixels_in, sums.grey + grey_out + grey_in,
+                sums.share + pixels_in, sums.share_share + pixels_in,
+                sums.share_grey + grey_in, *sums[5:])
 
 
 def _alike(far: np.ndarray, levels: np.ndarray, near: np.ndarray, pixels: np.ndarray,

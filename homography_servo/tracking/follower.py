@@ -35,6 +35,8 @@ OTHER_SIZE = 0.25  # relative change of size from one picture to the next
 FOCUS_HALF = 8  # pixels around the edges for a first look at the blur
 SETTLED_PX = 0.5  # largest last step of a fit that has found its place
 REFOCUS_EVERY, REFOCUS_FIRST = 10, 10  # pictures
+CLEAR_SIDE = 0.9  # share of its lines that makes a side clear
+CHECK_EVERY = 4  # pictures: the shape of a face all of whose sides are clear
 REMEMBER_EVERY, KEY_EVERY = 3, 10
 CLICK_SIGMA_PX = 1.0  # of corners that a person points at
 TOLD_PX = 4.0  # how far from given corners weak edges may lie
@@ -256,7 +258,9 @@ class Follower:
             return f'the fit has not settled: it moves by {fit.moved_px:.1f} px'
         if sigma_px > settings.max_corner_sigma_px:
             return f'a corner is uncertain by {sigma_px:.2f} px'
-        return self._surprise(fit, prior) or self._not_the_face(fit)
+        surprise = self._surprise(fit, prior)
+        clear = quality.side_share.min() > CLEAR_SIDE and self._accepted % CHECK_EVERY
+        return surprise or ('' if clear else self._not_the_face(fit))
 
     def _not_the_face(self, fit: SnakeFit) -> str:
         """Check that the corners are the projection of the rectangle."""

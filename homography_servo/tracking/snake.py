@@ -22,6 +22,8 @@ ROBUST_SIGMAS = 4.0  # where Tukey's weight ends
 ODD_RESIDUAL, ODD_POWER = 1.6, 2.0  # mean square over the noise's that noise cannot explain
 INLIER_WEIGHT = 0.1
 MOST_DONE_PX = 0.3
+SAME_LEVELS_PX = 0.03  # all sides in or out by less: grey levels need no second look
+NARROW_PX = 0.6  # scatter up to which outliers show without a vote
 IMAGE_PLANE = Plane(None)
 
 
@@ -107,9 +109,10 @@ def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = I
         if far_px > 0.4 * look.half:
             scan, far_px = read_scan(image, corners, plane, look.half, look.stride, look.lines,
                                      spans), 0.0
+            known = None
             if scan is None:
                 return Rejected('the face is not inside the image')
-        edges = measure_edges(scan, corners, profile, strips)
+        edges = measure_edges(scan, corners, profile, strips, known)
         usable = _usable(edges, profile.sigma_px, polarity)
         if np.count_nonzero(usable) < look.least:
             return Rejected(f'only {np.count_nonzero(usable)} segments show an edge')
@@ -117,6 +120,7 @@ def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = I
         if not sound(fit.corners):
             return Rejected('the polygon folded')
         corners, far_px = fit.corners, far_px + fit.moved_px
+        known = edges.known if abs(edges.common) < SAME_LEVELS_PX else None
         sigma_px = (np.trace(fit.covariance) / corners.size) ** 0.5
         if fit.moved_px < min(look.done_sigmas * sigma_px, MOST_DONE_PX):
             break
@@ -160,10 +164,9 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
     precision = usable / variance
     held, pull = _held(prior, corners)
     miss = inward
-    if first:  # begin with the middle of each side's votes: a mean would follow outliers
+    if first and look.first_sure_px > NARROW_PX:  # the mean of a side would follow outliers
         miss = inward - _side_middles(inward, edges.side, usable, len(corners))
-    for sure_px in ((look.first_sure_px, look.sure_px, look.sure_px) if first
-                    else (look.sure_px,) * 2):
+    for sure_px in (look.first_sure_px if first else look.sure_px, look.sure_px):
         weight = np.maximum(
             1.0 - miss * miss / (ROBUST_SIGMAS ** 2 * (variance + sure_px * sure_px)), 0.0)
         weight *= weight
