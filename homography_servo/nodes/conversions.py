@@ -28,7 +28,9 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import Image
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 from std_msgs.msg import Header
+from std_msgs.msg import MultiArrayDimension
 from trajectory_msgs.msg import JointTrajectory
 from trajectory_msgs.msg import JointTrajectoryPoint
 
@@ -161,6 +163,35 @@ def corners_from_polygon(msg: PolygonStamped) -> np.ndarray | Rejected | None:
     if len(points_px) not in (0, 4):
         return Rejected(f'4 corners are needed, {len(points_px)} came')
     return points_px if len(points_px) else None
+
+
+def covariance_msg(covariance: np.ndarray, header: Header) -> Float64MultiArray:
+    """
+    Make a message of an (n, n) covariance.
+
+    The message has no header, so its stamp travels as the label of the first axis.
+    """
+    size = len(covariance)
+    label = f'{header.stamp.sec}.{header.stamp.nanosec:09d}'
+    msg = Float64MultiArray(data=[float(v) for v in np.asarray(covariance).ravel()])
+    msg.layout.dim = [MultiArrayDimension(label=label, size=size, stride=size * size),
+                      MultiArrayDimension(label='column', size=size, stride=size)]
+    return msg
+
+
+def covariance_from_msg(msg: Float64MultiArray, size: int) -> np.ndarray | Rejected:
+    """Give the (size, size) covariance of a message."""
+    if len(msg.data) != size * size:
+        return Rejected(f'{size} x {size} numbers are needed, {len(msg.data)} came')
+    covariance = np.array(msg.data, dtype=float).reshape(size, size)
+    if not np.isfinite(covariance).all() or np.linalg.eigvalsh(covariance).min() <= 0.0:
+        return Rejected('it is not finite and positive definite')
+    return covariance
+
+
+def stamp_label(msg: Float64MultiArray) -> str:
+    """Give the stamp that `covariance_msg` has written down."""
+    return msg.layout.dim[0].label if msg.layout.dim else ''
 
 
 def pose_msg(a_from_b: np.ndarray) -> Pose:

@@ -14,10 +14,12 @@ from homography_servo.errors import ConfigError
 from homography_servo.geometry.face import face_corners
 from homography_servo.nodes.conversions import camera_from_info
 from homography_servo.nodes.conversions import corners_from_polygon
+from homography_servo.nodes.conversions import covariance_from_msg
 from homography_servo.nodes.conversions import joints_from_state
 from homography_servo.nodes.conversions import pose_array_msg
 from homography_servo.nodes.conversions import pose_covariance_msg
 from homography_servo.nodes.conversions import seconds_from_stamp
+from homography_servo.nodes.conversions import stamp_label
 from homography_servo.nodes.conversions import transform_from_pose
 from homography_servo.nodes.kit import Health
 from homography_servo.nodes.kit import images_qos
@@ -45,6 +47,7 @@ from homography_servo.robot.robot_file import Robot
 from homography_servo.settings import reals
 from homography_servo.settings import Settings
 from homography_servo.settings import text
+import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import JointState
@@ -54,6 +57,8 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import ImageMarker
 from visualization_msgs.msg import MarkerArray
+
+COVARIANCES_KEPT = 8  # of images whose corners have not come yet
 
 
 @dataclass(frozen=True)
@@ -86,6 +91,7 @@ class PathPlanner(NodeKit, Node):
         self._desk = PlanningDesk(points_m, self._robot, self._settings[PlannerSettings],
                                   self._settings[ObserverSettings])
         self._last_sentence = 'no plan yet'
+        self._covariances: dict[str, np.ndarray] = {}
         self._publish_to()
         self._transforms = Transforms(self, camera_frames(self._desk.home_depth_m))
         self._listen_to()
@@ -103,6 +109,7 @@ class PathPlanner(NodeKit, Node):
 
     def _listen_to(self) -> None:
         self.listen(CameraInfo, 'camera_info', self._on_camera, images_qos(False))
+        self.listen(Float64MultiArray, 'object/corner_covariance', self._on_covariance)
         self.listen(PolygonStamped, 'object/corners', self._on_corners)
         self.listen(JointState, 'joint_states', self._on_joints)
         self.listen(PolygonStamped, 'goal/corners', self._on_goal_corners)
@@ -123,13 +130,24 @@ class PathPlanner(NodeKit, Node):
         self._taken('joint_states', self._desk.set_joints(
             joints_rad, time.monotonic(), self._stamp_s(msg.header)))
 
+    def _on_covariance(self, msg: Float64MultiArray) -> None:
+        """Keep how well the corners of one image are known until they come."""
+        covariance = covariance_from_msg(msg, 8)
+        if self._taken('corner_covariance', covariance):
+            self._covariances[stamp_label(msg)] = covariance
+        while len(self._covariances) > COVARIANCES_KEPT:
+            self._covariances.pop(next(iter(self._covariances)))
+
     def _on_corners(self, msg: PolygonStamped) -> None:
         corners_px = corners_from_polygon(msg)
         if corners_px is None:
             self.count('corners_empty')
             self._desk.lose_sight()
             return
-        estimate = self._desk.see(corners_px, time.monotonic(), self._stamp_s(msg.header))
+        stamp = msg.header.stamp
+        covariance = self._covariances.get(f'{stamp.sec}.{stamp.nanosec:09d}')
+        estimate = self._desk.see(corners_px, time.monotonic(), self._stamp_s(msg.header),
+                                  covariance)
         if not self._taken('corners', estimate):
             return
         header = Header(stamp=msg.header.stamp, frame_id='home')

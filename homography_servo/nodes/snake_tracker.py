@@ -9,6 +9,7 @@ from geometry_msgs.msg import PolygonStamped
 from homography_servo.nodes.conversions import bgr_from_image
 from homography_servo.nodes.conversions import camera_from_info
 from homography_servo.nodes.conversions import corners_from_polygon
+from homography_servo.nodes.conversions import covariance_msg
 from homography_servo.nodes.conversions import grey_from_image
 from homography_servo.nodes.conversions import image_msg
 from homography_servo.nodes.conversions import polygon_msg
@@ -36,6 +37,7 @@ import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import Image
+from std_msgs.msg import Float64MultiArray
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -87,6 +89,8 @@ class SnakeTracker(NodeKit, Node):
 
     def _publish_to(self) -> None:
         self._corners = self.create_publisher(PolygonStamped, 'object/corners', DEFAULT)
+        self._covariance = self.create_publisher(Float64MultiArray, 'object/corner_covariance',
+                                                 DEFAULT)
         self._contour = self.create_publisher(PolygonStamped, 'object/contour', DEFAULT)
         self._annotated = self.create_publisher(Image, '~/annotated_image', images_qos(False))
         self._state = self.latched(String, '~/state')
@@ -157,6 +161,8 @@ class SnakeTracker(NodeKit, Node):
         return self._predicted[1] if fresh else None
 
     def _publish(self, msg: Image, track: Track) -> None:
+        if track.corners_px is not None:
+            self._covariance.publish(covariance_msg(track.covariance_px2, msg.header))
         self._corners.publish(polygon_msg(track.corners_px, msg.header))
         self._contour.publish(polygon_msg(track.contour_px, msg.header))
         self._show_state()

@@ -116,15 +116,22 @@ class PlanningDesk:
         self._observer.lose_sight()
 
     def see(self, corners_px: np.ndarray | Rejected, now_s: float,
-            stamp_s: float = np.inf) -> PoseEstimate | Rejected:
-        """Take in a look, made at ``stamp_s``, and give the pose of the object."""
+            stamp_s: float = np.inf,
+            covariance_px2: np.ndarray | None = None) -> PoseEstimate | Rejected:
+        """
+        Take in a look, made at ``stamp_s``, and give the pose of the object.
+
+        ``covariance_px2`` (2M, 2M) is the tracker's word on how well it knows the corners;
+        without it their scatter is taken.
+        """
         if stamp_s <= self._moved_stamp_s:
             self._observer.lose_sight()
         if isinstance(corners_px, Rejected):
             return corners_px
         if self.camera is None:
             return Rejected(_NO_CAMERA)
-        return self._observer.see(corners_px, self.camera, now_s, self._arm_pose(now_s))
+        return self._observer.see(corners_px, self.camera, now_s, self._arm_pose(now_s),
+                                  covariance_px2)
 
     def missing(self, now_s: float) -> str:
         """Say what a plan would still need, empty when nothing."""

@@ -30,6 +30,7 @@ class Look(NamedTuple):
 
     corners_px: np.ndarray  # (M, 2)
     time_s: float
+    covariance_px2: np.ndarray | None = None  # (2M, 2M), None where nobody says
 
 
 class StillView(NamedTuple):
@@ -38,6 +39,7 @@ class StillView(NamedTuple):
     corners_px: np.ndarray  # (M, 2) their mean
     looks: int
     noise_px: float  # standard deviation of one coordinate in one look, NaN for one look
+    covariance_px2: np.ndarray | None = None  # of the best look; what is common to all stays
 
 
 class Observer:
@@ -83,7 +85,8 @@ class Observer:
         self._looks.clear()
 
     def see(self, corners_px: np.ndarray, camera: Camera, time_s: float,
-            arm_pose: np.ndarray | None = None) -> PoseEstimate | Rejected:
+            arm_pose: np.ndarray | None = None,
+            covariance_px2: np.ndarray | None = None) -> PoseEstimate | Rejected:
         """
         Take in one look.
 
@@ -97,17 +100,20 @@ class Observer:
             By a clock that never jumps.
         arm_pose : (4, 4) array, optional
             ``home_from_object`` by the joints, if they are known now.
+        covariance_px2 : (2M, 2M) array, optional
+            Of the corners, where the tracker tells it.
 
         Returns
         -------
         PoseEstimate or Rejected
 
         """
-        estimate = self.pose_of(corners_px, camera, self._prior(time_s, arm_pose))
+        estimate = self.pose_of(corners_px, camera, self._prior(time_s, arm_pose),
+                                covariance_px2=covariance_px2)
         if isinstance(estimate, Rejected):
             self.lose_sight()
             return estimate
-        self._looks.append(Look(np.array(corners_px, dtype=float), time_s))
+        self._looks.append(Look(np.array(corners_px, dtype=float), time_s, covariance_px2))
         while len(self._looks) > self.settings.looks_max:
             self._looks.popleft()
         self._last = (estimate.home_from_object, time_s)
@@ -115,7 +121,8 @@ class Observer:
         return estimate
 
     def pose_of(self, corners_px: np.ndarray, camera: Camera, prior: Prior | None = None,
-                looks: int = 1) -> PoseEstimate | Rejected:
+                looks: int = 1,
+                covariance_px2: np.ndarray | None = None) -> PoseEstimate | Rejected:
         """Estimate a pose from the mean corners of some looks, without remembering it."""
         corners_px = np.asarray(corners_px, dtype=float)
         if corners_px.shape != (len(self.object_points_m), 2):
@@ -123,7 +130,8 @@ class Observer:
                             f'{len(corners_px)} came')
         estimate = estimate_pose(
             self.object_points_m, corners_px, camera, home_depth_m=self.home_depth_m,
-            covariance_px2=self.noise_px**2 / looks, prior=prior)
+            covariance_px2=self.noise_px**2 / looks if covariance_px2 is None
+            else covariance_px2, prior=prior)
         if isinstance(estimate, Rejected):
             return estimate
         misfit_px = estimate.candidates[0].residual_px
@@ -144,7 +152,8 @@ class Observer:
     def view_pose(self, view: StillView, camera: Camera, now_s: float,
                   arm_pose: np.ndarray | None = None) -> PoseEstimate | Rejected:
         """Estimate the pose of a view, choosing the minimum as always."""
-        return self.pose_of(view.corners_px, camera, self._prior(now_s, arm_pose), view.looks)
+        return self.pose_of(view.corners_px, camera, self._prior(now_s, arm_pose), view.looks,
+                            view.covariance_px2)
 
     def _trailing_rest(self) -> StillView:
         looks = np.array([look.corners_px for look in self._looks])[::-1]
@@ -155,7 +164,7 @@ class Observer:
         rest = looks[:int(moved[0]) + 1] if len(moved) else looks
         count = len(rest)
         noise = float(np.sqrt(rest.var(axis=0, ddof=1).mean())) if count > 1 else float('nan')
-        return StillView(rest.mean(axis=0), count, noise)
+        return _weighted([*self._looks][:-count - 1:-1], noise)
 
     def _measure_noise(self) -> None:
         """Take second differences, which even motion does not spoil, and their median."""
@@ -174,6 +183,17 @@ class Observer:
         age_s = max(time_s - self._last[1], 0.02)
         return _prior(self._last[0], 0.005 + settings.motion_m_s * age_s,
                       0.05 + settings.motion_rad_s * age_s)
+
+
+def _weighted(looks: list[Look], noise_px: float) -> StillView:
+    """Average looks, the better known ones with more weight."""
+    corners_px = np.array([look.corners_px for look in looks])
+    known = [look.covariance_px2 for look in looks]
+    if any(covariance is None for covariance in known):
+        return StillView(corners_px.mean(axis=0), len(looks), noise_px)
+    variances = np.array([np.trace(covariance) for covariance in known])
+    mean = np.average(corners_px, axis=0, weights=1.0 / variances)
+    return StillView(mean, len(looks), noise_px, known[int(variances.argmin())])
 
 
 def _prior(pose: np.ndarray, sigma_m: float, sigma_rad: float) -> Prior:

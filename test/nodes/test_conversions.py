@@ -131,3 +131,15 @@ def test_trajectories_hold_plain_floats():
     assert [list(p.positions) for p in msg.points] == [[1.0, 2.0], [3.0, 4.0]]
     assert all(isinstance(v, float) for p in msg.points for v in p.positions)
     assert msg.points[1].time_from_start.sec == 1
+
+
+def test_covariances_keep_their_stamp_and_bad_ones_are_rejected():
+    root = np.random.default_rng(4).normal(size=(8, 8))
+    header = Header(stamp=c.stamp_from_seconds(12.25))
+    msg = c.covariance_msg(root @ root.T, header)
+    assert c.covariance_from_msg(msg, 8) == pytest.approx(root @ root.T)
+    assert c.stamp_label(msg) == '12.250000000'
+    assert '64' in c.covariance_from_msg(msg, 6).reason
+    msg.data[0] = float('nan')
+    assert 'finite' in c.covariance_from_msg(msg, 8).reason
+    assert 'positive' in c.covariance_from_msg(c.covariance_msg(-np.eye(8), header), 8).reason

@@ -214,3 +214,20 @@ def test_pictures_from_before_the_arm_stopped_are_no_looks_at_rest():
     for stamp_s in (51.2, 51.4):
         bench.desk.see(seen(START), 100.0, stamp_s)
     assert bench.desk.plan(100.0).ok
+
+
+def test_what_the_tracker_says_of_its_corners_goes_into_the_pose():
+    bench = Bench()
+    sure, unsure = (bench.desk.see(seen(START), 100.0, covariance_px2=sigma**2 * np.eye(8))
+                    for sigma in (0.02, 0.2))
+    assert unsure.covariance == pytest.approx(100.0 * sure.covariance, rel=1e-3)
+
+
+def test_looks_that_are_known_better_weigh_more_in_an_average():
+    bench = Bench()
+    bench.desk.set_joints(START_RAD, 100.0)
+    for shift_px, sigma in ((0.5, 0.5), (0.0, 0.05), (0.5, 0.5)):
+        bench.desk.see(seen(START) + shift_px, 100.0, covariance_px2=sigma**2 * np.eye(8))
+    view = bench.desk._observer.still_view(100.0)
+    assert view.looks == 3
+    assert view.corners_px == pytest.approx(seen(START), abs=0.02)
