@@ -28,7 +28,7 @@ class ServoSettings(Settings):
     depth_tolerance_mm: float = real(1.2, 0.01, 200.0, 'mm', 'along the line of sight')
     gamma_tolerance_deg: float = real(0.3, 0.01, 45.0, 'deg', 'about the optical axis')
     tilt_tolerance_deg: float = real(1.0, 0.01, 45.0, 'deg', 'about the other two axes')
-    via_scale: float = real(4.0, 1.0, 100.0, '', 'tolerance on the way over that at the end')
+    via_scale: float = real(1.5, 1.0, 100.0, '', 'tolerance on the way over that at the end')
     sure_share: float = real(
         0.4, 0.05, 1.0, '', 'looks are averaged until one standard deviation is below this '
         'share of the tolerance')
