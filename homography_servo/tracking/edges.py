@@ -27,6 +27,8 @@ FAR_SIGMAS = 3.0  # far pixels that differ by more than this have another grey l
 FLAT_GREY = 1.0  # and uneven light makes them differ by this much
 MOST_POOLED = 300.0  # pixels that the other segments may stand for
 SQUARE = 0.08  # cosine of a corner that may be taken for a right angle
+MEMORY_GAIN = 0.1  # of a picture among earlier ones
+STEADY_GREY = 0.8  # grey levels that change less from picture to picture are remembered
 LINEAR_SHARE = 0.85  # of the largest offset that the linear step can show
 
 
@@ -62,6 +64,26 @@ class Known(NamedTuple):
     pixels: np.ndarray  # (2, s) how many they count for
     grey: np.ndarray  # (2, s) sum of their grey levels
     alone: np.ndarray  # (s,) share of the offset's information kept without other segments
+    common: np.ndarray  # (2, 1) level that most segments share in this picture
+    doubt: float  # how far that level could give in to an offset of all sides, 0 to 1
+
+
+class LevelMemory(NamedTuple):
+    """Grey levels outside and inside that most segments had in earlier pictures."""
+
+    level: np.ndarray  # (2, 1)
+    variance: np.ndarray  # (2, 1) of one picture's level about it
+
+    def updated(self, common: np.ndarray) -> LevelMemory:
+        """Take in another picture."""
+        away = common - self.level
+        return LevelMemory(self.level + MEMORY_GAIN * away,
+                           self.variance + MEMORY_GAIN * (away * away - self.variance))
+
+    @property
+    def gain(self) -> np.ndarray:
+        """Say how much of a new level to believe, 0 to 1 (2, 1)."""
+        return self.variance / (self.variance + STEADY_GREY ** 2)
 
 
 class SecondEdge(NamedTuple):
@@ -91,7 +113,8 @@ class Sums(NamedTuple):
 
 
 def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
-                  strips: Strips | None = None, known: Known | None = None) -> Edges:
+                  strips: Strips | None = None, known: Known | None = None,
+                  memory: LevelMemory | None = None) -> Edges:
     """
     Fit the edge profile in every segment.
 
@@ -107,6 +130,8 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
         Sides of a box that show beside the face.
     known : Known or None
         What an earlier step in the same picture found out about the grey levels.
+    memory : LevelMemory or None
+        What earlier pictures found out about them.
 
     Returns
     -------
@@ -124,7 +149,7 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
     if strips is not None:
         back = strips.mix_in(scan, profile, place, scale, share, slope)
     sums = _sums(scan, share, slope)
-    levels, kept, residual, known = _levels(sums, scan, step, known)
+    levels, kept, residual, known = _levels(sums, scan, step, known, memory)
     outside, contrast = levels[0], levels[1] - levels[0]
     response = sums.slope_grey - outside * sums.slope - contrast * sums.slope_share
     energy = np.maximum(sums.slope_slope * kept, 1e-9)
@@ -132,7 +157,8 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
     pixel = 1.0 if scale is None else 1.0 / scale.take(scan.layout.first_line)
     inward, common = _with_common(-pixel * _straightened(response / (safe * energy),
                                                          profile.sigma_px),
-                                  safe * safe * energy / residual, kept / known.alone)
+                                  safe * safe * energy / residual, kept / known.alone,
+                                  known.doubt)
     side = scan.layout.segment_side
     second = None if back is None else _second(scan, back, share, slope, outside, contrast,
                                                residual / kept)
@@ -186,7 +212,7 @@ def _cut_corners(scan: Scan, geometry: Geometry, profile: EdgeProfile, first: np
 
 
 def _with_common(inward: np.ndarray, precision: np.ndarray,
-                 shared: np.ndarray) -> tuple[np.ndarray, float]:
+                 shared: np.ndarray, doubt: float) -> tuple[np.ndarray, float]:
     """
     Lengthen the offset that all segments share.
 
@@ -195,7 +221,7 @@ def _with_common(inward: np.ndarray, precision: np.ndarray,
     """
     weight = np.minimum(precision, 4.0 * middle(precision))
     common = float(weight @ inward / weight.sum())
-    lengthened = common * (float(weight @ shared / weight.sum()) - 1.0)
+    lengthened = common * doubt * (float(weight @ shared / weight.sum()) - 1.0)
     return inward + lengthened, common + lengthened
 
 
@@ -213,8 +239,8 @@ def _sums(scan: Scan, share: np.ndarray, slope: np.ndarray) -> Sums:
     return Sums(scan.layout.lines * float(len(share)), scan.grey_sum, *total)
 
 
-def _levels(sums: Sums, scan: Scan, step: np.ndarray,
-            known: Known | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, Known]:
+def _levels(sums: Sums, scan: Scan, step: np.ndarray, known: Known | None,
+            memory: LevelMemory | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, Known]:
     """
     Fit the grey levels of each segment.
 
@@ -231,13 +257,13 @@ def _levels(sums: Sums, scan: Scan, step: np.ndarray,
         - levels[1] * sums.share_grey
     residual = np.maximum(missed, 0.01) / (sums.one - 2.0)
     if known is None:
-        known = _learn_levels(sums, scan, step, levels, middle(residual))
+        known = _learn_levels(sums, scan, step, levels, middle(residual), memory)
     sums = _with_pixels(sums, known)
     return _two_levels(sums), _kept(sums), residual, known
 
 
 def _learn_levels(sums: Sums, scan: Scan, step: np.ndarray, levels: np.ndarray,
-                  noise: float) -> Known:
+                  noise: float, memory: LevelMemory | None) -> Known:
     """Let far pixels and other segments pin the levels down as far as they are alike."""
     rising = step.take(scan.layout.first_line) > 0.0
     far = np.empty_like(levels)
@@ -248,9 +274,13 @@ def _learn_levels(sums: Sums, scan: Scan, step: np.ndarray, levels: np.ndarray,
     near = np.stack([sums.one - sums.share, sums.share])
     counted = _alike(far, levels, near, pixels, noise)
     far *= counted
-    sums = _with_pixels(sums, Known(counted, far, noise))
+    sums = _with_pixels(sums, Known(counted, far, near, near, 1.0))
     shared, common = _common(_two_levels(sums), near + counted, noise)
-    return Known(counted + shared, far + shared * common, _kept(sums))
+    believed, doubt = common, 1.0
+    if memory is not None:
+        believed = memory.level + memory.gain * (common - memory.level)
+        doubt = float(memory.gain.max())
+    return Known(counted + shared, far + shared * believed, _kept(sums), common, doubt)
 
 
 def _two_levels(sums: Sums) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from homography_servo.geometry.face import face_corners
 from homography_servo.result import Rejected
 from homography_servo.tracking.box import BoxSides
+from homography_servo.tracking.edges import LevelMemory
 from homography_servo.tracking.face_pose import next_pose
 from homography_servo.tracking.face_pose import pose_of_face
 from homography_servo.tracking.focus import first_focus
@@ -35,6 +36,7 @@ OTHER_SIZE = 0.25  # relative change of size from one picture to the next
 FOCUS_HALF = 8  # pixels around the edges for a first look at the blur
 SETTLED_PX = 0.5  # largest last step of a fit that has found its place
 REFOCUS_EVERY, REFOCUS_FIRST = 10, 10  # pictures
+FIRST_SPREAD_GREY = 1.0  # of grey levels from picture to picture before that is known
 CLEAR_SIDE = 0.9  # share of its lines that makes a side clear
 CHECK_EVERY = 4  # pictures: the shape of a face all of whose sides are clear
 REMEMBER_EVERY, KEY_EVERY = 3, 10
@@ -85,6 +87,7 @@ class Follower:
     def forget(self) -> None:
         """Stop following; what the face looks like stays known."""
         self._motion: Motion | None = None
+        self._memory: LevelMemory | None = None
 
     def follow(self, image: np.ndarray, stamp_s: float,
                given: np.ndarray | None) -> SnakeFit | Rejected:
@@ -209,6 +212,9 @@ class Follower:
             self._locator.remember(image, self._plane.to_image(fit.corners))
         if not self._texture.known and self._accepted % KEY_EVERY == 1:
             self._texture.remember(image, self._plane.to_image(fit.corners))
+        common = fit.edges.known.common
+        self._memory = LevelMemory(common, np.full_like(common, FIRST_SPREAD_GREY ** 2)) \
+            if self._memory is None else self._memory.updated(common)
         if fit.by_print:
             return  # its edges are too weak to learn from
         if self._accepted <= REFOCUS_FIRST or self._accepted % REFOCUS_EVERY == 0:
@@ -238,7 +244,8 @@ class Follower:
         strips, rigid = (None, None) if self._box is None else self._box.strips(prior.corners)
         held = prior if rigid is None else both(prior, rigid)
         fit = fit_snake(image, prior.corners, Look(blur_px, half), self._plane, held,
-                        POLARITIES[self.settings.polarity], strips)
+                        POLARITIES[self.settings.polarity], strips,
+                        None if self._motion is None else self._memory)
         if isinstance(fit, Rejected):
             return fit
         doubt = self._doubt(fit, prior)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import cv2
 from homography_servo.result import Rejected
 from homography_servo.tracking.edges import Edges
+from homography_servo.tracking.edges import LevelMemory
 from homography_servo.tracking.edges import measure_edges
 from homography_servo.tracking.edges import middle
 from homography_servo.tracking.plane import Plane
@@ -77,7 +78,8 @@ class SnakeFit(NamedTuple):
 
 def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = IMAGE_PLANE,
               prior: Prior | None = None, polarity: int = 0,
-              strips: Strips | None = None) -> SnakeFit | Rejected:
+              strips: Strips | None = None,
+              memory: LevelMemory | None = None) -> SnakeFit | Rejected:
     """
     Find the polygon's corners near where they are expected.
 
@@ -97,6 +99,8 @@ def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = I
         1 when the face is brighter than what surrounds it, -1 when darker, 0 unknown.
     strips : Strips or None
         Sides of a box that show beside the face.
+    memory : LevelMemory or None
+        Grey levels of earlier pictures.
 
     Returns
     -------
@@ -112,7 +116,7 @@ def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = I
             known = None
             if scan is None:
                 return Rejected('the face is not inside the image')
-        edges = measure_edges(scan, corners, profile, strips, known)
+        edges = measure_edges(scan, corners, profile, strips, known, memory)
         usable = _usable(edges, profile.sigma_px, polarity)
         if np.count_nonzero(usable) < look.least:
             return Rejected(f'only {np.count_nonzero(usable)} segments show an edge')
@@ -120,7 +124,8 @@ def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = I
         if not sound(fit.corners):
             return Rejected('the polygon folded')
         corners, far_px = fit.corners, far_px + fit.moved_px
-        known = edges.known if abs(edges.common) < SAME_LEVELS_PX else None
+        steady = abs(edges.common) < SAME_LEVELS_PX and fit.moved_px < MOST_DONE_PX
+        known = edges.known if steady else None
         sigma_px = (np.trace(fit.covariance) / corners.size) ** 0.5
         if fit.moved_px < min(look.done_sigmas * sigma_px, MOST_DONE_PX):
             break
