@@ -210,19 +210,12 @@ class Servo:
             self._enter_looking()
 
     def _await_arrival(self, now_s: float) -> None:
-        if self._moves.arrived:
-            self._enter_looking()
+        if self._moves.arrived or self._moves.stopped_short(now_s):
+            self._enter_looking()  # wherever it stands: look where that is
         elif self._moves.overdue(now_s):
-            self._overdue(now_s)
-
-    def _overdue(self, now_s: float) -> None:
-        still = self.watch.joints.still
-        if still and self._moves.began:
-            self._enter_looking()  # it stands elsewhere: look where that is
-            return
-        self._retry_s = now_s + RETRY_S
-        self._hold('the arm does not come to rest' if not still else
-                   'the arm does not move; does the bridge take commands?')
+            self._retry_s = now_s + RETRY_S
+            self._hold('the arm does not move; does the bridge take commands?'
+                       if self.watch.joints.still else 'the arm does not come to rest')
 
     def _enter_looking(self) -> None:
         self.state, self.reason = LOOKING, ''

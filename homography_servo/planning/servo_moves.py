@@ -17,6 +17,7 @@ import numpy as np
 
 ARRIVED_RAD = 1.2e-3  # a little over one unit of a hobby servo
 SHORTEST_MOVE_S = 0.04
+SHORT_S = 0.2
 OVERDUE_S = 1.0
 
 
@@ -56,6 +57,10 @@ class Moves:
     def began(self) -> bool:
         """Tell whether the joints have left the start of the move."""
         return bool(np.abs(self._watch.joints.latest_rad - self._left_rad).max() > ARRIVED_RAD)
+
+    def stopped_short(self, now_s: float) -> bool:
+        """Tell whether the joints went and stand, after their time, but elsewhere."""
+        return self._watch.joints.still and self.began and now_s > self._due_s + SHORT_S
 
     def overdue(self, now_s: float) -> bool:
         """Tell whether the joints should have arrived long ago."""
