@@ -7,10 +7,10 @@ from homography_servo.planning.control import displacement
 from homography_servo.planning.control import errors_of
 from homography_servo.planning.flow import Flow
 from homography_servo.planning.flow import timed
-from homography_servo.planning.servo import DONE
-from homography_servo.planning.servo import FAILED
-from homography_servo.planning.servo import HOLD
 from homography_servo.planning.servo_settings import ServoSettings
+from homography_servo.planning.servo_state import DONE
+from homography_servo.planning.servo_state import FAILED
+from homography_servo.planning.servo_state import HOLD
 import numpy as np
 import pytest
 from servo_setup import FOCAL_PX
