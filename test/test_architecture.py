@@ -19,7 +19,7 @@ MAY_IMPORT = {
 CLOCKS = {'time', 'random', 'datetime'}
 # The wire needs a clock and threads: the port, the process that emulates the device.
 WITH_CLOCK = {f'robot/{name}.py' for name in (
-    'arm_thread', 'emulator', 'emulator_main', 'faults', 'link', 'port', 'transport')}
+    'arm', 'arm_thread', 'emulator', 'emulator_main', 'faults', 'link', 'port', 'transport')}
 MODULES = sorted(ROOT.rglob('*.py'))
 CORE = [path for path in MODULES if path.relative_to(ROOT).parts[0] in MAY_IMPORT]
 
