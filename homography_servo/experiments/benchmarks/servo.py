@@ -57,12 +57,14 @@ PAIRS, QUICK_PAIRS = 1000, 4
 FREE_PAIRS, QUICK_FREE_PAIRS = 300, 2
 LOOKS, LAST_LOOKS = 200, 100
 SETTLED_M, SETTLED_RAD = 0.02, np.radians(5.0)
-SCENARIOS = Path(__file__).resolve().parents[4] / 'shared' / 'scenarios.yaml'
+SCENARIOS = 'shared/scenarios.yaml'  # beside the folder it runs in, or beside the sources
 
 
 def run(quick: bool, seed: int) -> list[dict[str, Any]]:
     """Measure everything; rows as described in the module."""
-    scenarios = load_scenarios(SCENARIOS)
+    folders = (Path.cwd().parent, Path(__file__).resolve().parents[4])
+    found = [folder / SCENARIOS for folder in folders if (folder / SCENARIOS).is_file()]
+    scenarios = load_scenarios(found[0]) if found else []
     rows = scenario_rows(scenarios[:2] if quick else scenarios, seed, NOISE_PX)
     robot = load_robot(find_config('robix_rcs6.yaml'))
     rows += _robot_rows(robot, QUICK_PAIRS if quick else PAIRS, seed)
