@@ -175,7 +175,7 @@ def probe(domain, monkeypatch):
 
 @pytest.fixture
 def start_node(domain):
-    """Give a function that starts a node: ``start_node('robix_bridge', port='fake')``."""
+    """Give a function that starts a node by name, with parameters as keywords."""
     pytest.importorskip('rclpy', reason='needs ROS 2')
     started: list[NodeProcess] = []
 

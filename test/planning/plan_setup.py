@@ -22,7 +22,7 @@ def smallest(joints_rad):
 
 
 def postures(count, seed, least=0.03):
-    """Draw postures (count, 6) that the camera sees well and that are not singular."""
+    """Draw joint vectors, one a row, that the camera sees well and that are not singular."""
     rng = np.random.default_rng(seed)
     found = np.zeros((0, 6))
     while len(found) < count:
