@@ -23,7 +23,7 @@ ENTER := . tools/enter.sh
 COLCON := colcon --log-base $(LOG_BASE)
 BASES := --build-base $(BUILD_BASE) --install-base $(INSTALL_BASE)
 
-.PHONY: help setup build test demo run benchmark test-noble clean
+.PHONY: help setup build test demo run benchmark test-noble pictures clean
 
 help:  ## show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 14
@@ -57,6 +57,10 @@ benchmark: build  ## measure; SUITES='pose tracker plan servo latency'
 test-noble:  ## run all tests with the versions of Ubuntu 24.04
 	@$(MAKE) --no-print-directory test VENV=.venv-noble BASE=build/noble/ \
 		CONSTRAINTS=requirements/noble.txt PYTHON="$$(bash tools/find_python.sh 3.12)"
+
+pictures: demo  ## make the pictures of README and docs anew (needs Chromium)
+	@cp report/figure_2_paths.png docs/images/trial.png
+	@$(ENTER) && python3 tools/screenshots.py
 
 clean:  ## remove what was built, the environments too
 	rm -rf build install log report .venv .venv-noble
