@@ -155,17 +155,17 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
     energy = np.maximum(sums.slope_slope * kept, 1e-9)
     safe = np.where(np.abs(contrast) < 1e-3, 1e-3, contrast)
     pixel = 1.0 if scale is None else 1.0 / scale.take(scan.layout.first_line)
-    inward, common = _with_common(-pixel * _straightened(response / (safe * energy),
-                                                         profile.sigma_px),
-                                  safe * safe * energy / residual, kept / known.alone,
+    offset = -pixel * _straightened(response / (safe * energy), profile.sigma_px)
+    inward, common = _with_common(offset, safe * safe * energy / residual, kept / known.alone,
                                   known.doubt)
     side = scan.layout.segment_side
-    second = None if back is None else _second(scan, back, share, slope, outside, contrast,
-                                               residual / kept)
+    second = None
+    if back is not None:
+        second = _second(scan, back, share, slope, outside, contrast, residual / kept)
     return Edges(side, sums.slope_along / np.maximum(sums.slope_slope, 1e-9),
                  geometry.normal_u.take(side), geometry.normal_v.take(side),
-                 inward, pixel * pixel * residual / (safe * safe * energy), contrast, outside, residual,
-                 scan.layout.lines, known, common, second)
+                 inward, pixel * pixel * residual / (safe * safe * energy), contrast, outside,
+                 residual, scan.layout.lines, known, common, second)
 
 
 def line_distances(scan: Scan, geometry: Geometry) -> tuple[np.ndarray, ...]:
