@@ -50,7 +50,7 @@ def paths_figure(trial: TrialData, camera: Camera, path: Path) -> Path:
         _seen(row[1], trial, shots.get(index), index)
     grid[0][0].set_title('Planned')
     grid[0][1].set_title('Seen by the camera')
-    grid[0][0].legend(loc='lower right', fontsize=8, framealpha=0.9)
+    grid[0][0].legend(loc='upper left', fontsize=8, framealpha=0.9)
     return _save(figure, path)
 
 
