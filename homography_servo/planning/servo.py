@@ -363,7 +363,8 @@ class Servo:
     def _step(self, now_s: float) -> None:
         index = self._attempt.index
         step = self._step_to(index, self._attempt.moves)
-        if _blocked(step):
+        last = index == len(self._path) - 1
+        if _blocked(step) or _shortened(step) and self._attempt.moves >= 2 and not last:
             later = self._next_open(index)
             if later is None:
                 self._end(FAILED, f'{self._at_limit(step.limited_by)} before pose {index + 1}')
@@ -418,4 +419,8 @@ class Servo:
 
 
 def _blocked(step: Step) -> bool:
-    return step.share < STUCK_SHARE and step.limited_by not in ('', 'step')
+    return step.share < STUCK_SHARE and _shortened(step)
+
+
+def _shortened(step: Step) -> bool:
+    return step.limited_by not in ('', 'step')
