@@ -159,17 +159,25 @@ class Tracker:
                 raise ValueError(f'expected (4, 2) corners, got {predicted_px.shape}')
             if np.isfinite(predicted_px).all():
                 return self._plane.from_image(predicted_px)
-        if self._settings.initial_corners_px and not self._was_lost:
-            return self._plane.from_image(np.reshape(self._settings.initial_corners_px, (4, 2)))
+        if not self._was_lost:
+            return self._first_place()
         return None
+
+    def _first_place(self) -> np.ndarray | None:
+        """Give the corners of the settings, where the face may come back after a loss."""
+        if not self._settings.initial_corners_px:
+            return None
+        return self._plane.from_image(np.reshape(self._settings.initial_corners_px, (4, 2)))
 
     def _search(self, image: np.ndarray, stamp_s: float, given: np.ndarray | None) -> Track:
         fit: SnakeFit | Rejected = Rejected('nobody says where the face is')
         last = None if self._last_px is None else self._plane.from_image(self._last_px)
-        for near in (given, last):
+        first = self._first_place()
+        for near in (given, last, first):
             if near is not None and not fit:
+                told = near is first or (near is given and not self._was_lost)
                 fit = self._follower.capture(image, shape_prior(near, GIVEN_SHAPE_SIGMA_PX),
-                                             told=near is given and not self._was_lost)
+                                             told=told)
         told = bool(fit) and given is not None and not self._was_lost
         if not fit and self._settings.find_face:
             found = find_face(image, self._target(), self._plane,
