@@ -148,13 +148,9 @@ class PlanningDesk:
         """Make what is seen now the goal; several looks at rest are averaged."""
         if self.camera is None:
             return Rejected(_NO_CAMERA)
-        view = self._observer.still_view(now_s)
+        view = self._view_of(self._observer.settings.looks_min, now_s)
         if isinstance(view, Rejected):
             return view
-        wanted = self._observer.settings.looks_min
-        if view.looks < wanted:
-            return Rejected(f'only {view.looks} of {wanted} good looks at the object at rest so '
-                            'far; hold it still and ask again')
         estimate = self._observer.view_pose(view, self.camera, now_s, self._arm_pose(now_s))
         if isinstance(estimate, Rejected):
             return estimate
@@ -192,11 +188,9 @@ class PlanningDesk:
         missing = self.missing(now_s)
         if missing:
             return Rejected(missing)
-        view = self._observer.still_view(now_s)
-        wanted = self._observer.settings.plan_looks_min
-        if view.looks < wanted:
-            return Rejected(f'only {view.looks} of {wanted} good looks at the object at rest so '
-                            'far; hold it still and ask again')
+        view = self._view_of(self._observer.settings.plan_looks_min, now_s)
+        if isinstance(view, Rejected):
+            return view
         start = self._observer.view_pose(view, self.camera, now_s, self._arm_pose(now_s))
         if isinstance(start, Rejected):
             return start
@@ -204,6 +198,14 @@ class PlanningDesk:
         robot = self._learned(start, joints_rad)
         return plan(start.home_from_object, self.goal, self.camera, robot, joints_rad,
                     self._settings, self.object_points_m, self._goal_joints_rad)
+
+    def _view_of(self, wanted: int, now_s: float) -> StillView | Rejected:
+        """Average the looks at rest, of which some number is wanted."""
+        view = self._observer.still_view(now_s)
+        if isinstance(view, Rejected) or view.looks >= wanted:
+            return view
+        return Rejected(f'only {view.looks} of {wanted} good looks at the object at rest so '
+                        'far; hold it still and ask again')
 
     def _learned(self, start: PoseEstimate, joints_rad: np.ndarray | None) -> Robot | None:
         """Correct the arm's model by what is seen now and was seen at the taught goal."""
