@@ -56,3 +56,17 @@ def test_every_frame_is_tracked_close_to_the_reference(teabox, tmp_path, camera,
         print(f'\nteabox: corner distances, mean {np.mean(distances):.2f} px, largest '
               f'{np.max(distances):.2f} px; {picture}')
     assert np.max(distances) < 4.0
+
+
+def test_a_video_that_begins_again_is_found_again_where_it_began(teabox):
+    tracker = Tracker(FACE_M, TrackerSettings(initial_corners_px=FIRST_PX), CAMERA)
+    expected, pictures = reference(teabox), list(frames(teabox))
+    good = 0
+    for index in range(2 * len(pictures)):
+        frame = pictures[index % len(pictures)]
+        track = tracker.update(np.ascontiguousarray(frame[:, :, 0]), 1.0 + index / RATE_HZ)
+        if track.corners_px is not None:
+            wanted = expected[index % len(pictures)]
+            assert np.linalg.norm(track.corners_px - wanted, axis=1).max() < 4.0
+            good += index >= len(pictures)
+    assert good >= 30
