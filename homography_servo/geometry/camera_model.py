@@ -113,7 +113,7 @@ class Camera:
         """Tell which pixels (..., 2) lie inside the image, ``margin_px`` from its edge."""
         points = _last_axis(points_px, 2, 'points_px')
         last = np.array([self.width - 1.0, self.height - 1.0])
-        return ((points >= margin_px) & (points <= last - margin_px)).all(axis=-1)
+        return np.all((points >= margin_px) & (points <= last - margin_px), axis=-1)
 
     def _within(self, rays: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Keep values whose rays the lens model holds for."""
@@ -163,9 +163,9 @@ def camera_from_calibration(width: int, height: int, k: Sequence[float], d: Sequ
         The reason is a sentence for people.
 
     """
-    k = np.asarray(k, float).ravel()
-    if k.shape != (9,):
-        raise ValueError(f'k must have 9 numbers, got {k.size}')
+    k = [float(number) for number in np.ravel(k)]
+    if len(k) != 9:
+        raise ValueError(f'k must have 9 numbers, got {len(k)}')
     if k[0] == 0.0:
         return Rejected('the camera is not calibrated: k[0] (the focal length) is 0 in its '
                         'camera_info; calibrate it and publish the result')

@@ -144,7 +144,7 @@ def choose_count(start: np.ndarray, goal: np.ndarray, home_depth_m: float = 1.0,
         if isinstance(poses, Rejected):
             return poses
         steps = [*_steps(poses), 0.0]
-        if math.isfinite(max_step_px):
+        if math.isfinite(max_step_px) and camera is not None and object_points_m is not None:
             steps[2] = _image_step(poses, camera, object_points_m, home_depth_m)
         return float(np.max(steps / limits))
 
@@ -155,20 +155,26 @@ def choose_count(start: np.ndarray, goal: np.ndarray, home_depth_m: float = 1.0,
         return Rejected('the path leaves what the camera can see, or needs more than '
                         f'{_MOST_POSES} poses')
     count = max(2, 1 + math.ceil(sampled * (_SAMPLES - 1) * (1.0 - 1e-9)))
-    while count > 2 and excess(count - 1) <= 1.0 + 1e-9:
+
+    def fits(count: int) -> bool:
+        found = excess(count)  # rejected for its ends alone, so never after the first time
+        return isinstance(found, Rejected) or found <= 1.0 + 1e-9
+
+    while count > 2 and fits(count - 1):
         count -= 1
-    while excess(count) > 1.0 + 1e-9:
+    while not fits(count):
         count += 1
     return count
 
 
 def _paper(start: np.ndarray, goal: np.ndarray, share: np.ndarray, home_depth_m: float,
            turn: str) -> np.ndarray | Rejected:
-    ends = [parameters_from_pose(pose, home_depth_m) for pose in (start, goal)]
-    for end in ends:
-        if isinstance(end, Rejected):
-            return end
-    return pose_from_parameters(_between(*ends, share, turn), home_depth_m)
+    first, last = (parameters_from_pose(pose, home_depth_m) for pose in (start, goal))
+    if isinstance(first, Rejected):
+        return first
+    if isinstance(last, Rejected):
+        return last
+    return pose_from_parameters(_between(first, last, share, turn), home_depth_m)
 
 
 def _screw(start: np.ndarray, goal: np.ndarray, share: np.ndarray, home_depth_m: float,

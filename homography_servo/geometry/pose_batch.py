@@ -65,10 +65,10 @@ def estimate_poses(object_points_m: np.ndarray, image_points_px: np.ndarray, cam
     shape = shape_of(points)
     if isinstance(shape, Rejected):
         return shape
-    views = views_of(points, image, camera, covariance_px2)
-    if isinstance(views, Rejected):
-        return views
-    views, _ = views
+    seen = views_of(points, image, camera, covariance_px2)
+    if isinstance(seen, Rejected):
+        return seen
+    views, _ = seen
     good = np.flatnonzero(np.isfinite(views.rays).all(axis=(1, 2)))
     with np.errstate(all='ignore'):
         good, rotation, translation_m = _starts(shape, views.take(good), good)
@@ -84,7 +84,7 @@ def _starts(shape: Shape, views: Views, index: np.ndarray
     """Give the images that have starts, then all first starts followed by all second ones."""
     if not shape.flat:
         found = [(i, start) for i, rays in zip(index, views.rays)
-                 if (start := solid_starts(shape, views.points_m, rays))]
+                 if not isinstance(start := solid_starts(shape, views.points_m, rays), Rejected)]
         good = np.array([i for i, _ in found], int)
         pairs = [np.array([start[k] for _, start in found]) for k in (0, 1)]
         rotation = pairs[0].reshape(-1, 2, 3, 3).swapaxes(0, 1)
@@ -120,8 +120,9 @@ def _stack(fit: Fit, good: np.ndarray, count: int, home_depth_m: float) -> PoseS
 
 
 def _empty(count: int) -> PoseStack:
-    return PoseStack(*(np.full((count, *size), np.nan) for size in ((2, 4, 4), (2, 6, 6), (2,))),
-                     np.zeros(count, int), np.full(count, np.nan))
+    pose, covariance, chi2 = (np.full((count, *size), np.nan)
+                              for size in ((2, 4, 4), (2, 6, 6), (2,)))
+    return PoseStack(pose, covariance, chi2, np.zeros(count, int), np.full(count, np.nan))
 
 
 def _same(fit: Fit, first: np.ndarray, second: np.ndarray) -> np.ndarray:

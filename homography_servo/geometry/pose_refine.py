@@ -153,7 +153,8 @@ def _whitened(views: Views, rows: np.ndarray) -> np.ndarray:
 
 def _descend(views: Views, state: Fit) -> Fit:
     """Descend with a few poses together until all have settled."""
-    damping, before = None, 0.0
+    damping: np.ndarray | None = None
+    before: np.ndarray | float = 0.0
     for count in range(_MAX_STEPS):
         step, gain = (_step if count < _PATIENCE else _newton_step)(views, state, damping)
         settled = _settled(gain, before, state.chi2)
@@ -168,8 +169,9 @@ def _descend(views: Views, state: Fit) -> Fit:
 def _descend_many(views: Views, state: Fit) -> Fit:
     """Do as `_descend`, and go on only with the poses that have not settled."""
     result = Fit(*(value.copy(order='K') for value in state))
-    index, damping = np.arange(len(state.chi2)), np.full(len(state.chi2), _RIDGE)
-    before = 0.0
+    index = np.arange(len(state.chi2))
+    damping: np.ndarray | None = np.full(len(state.chi2), _RIDGE)
+    before: np.ndarray | float = 0.0
     for count in range(_MAX_STEPS):
         step, gain = (_step if count < _PATIENCE else _newton_step)(views, state, damping)
         settled = _settled(gain, before, state.chi2)
@@ -179,7 +181,8 @@ def _descend_many(views: Views, state: Fit) -> Fit:
                    _arrived(state.take(settled), step[settled], gain[settled]))
             if not left.any():
                 return result
-            index, views, damping, gain = index[left], views.take(left), damping[left], gain[left]
+            index, views, gain = index[left], views.take(left), gain[left]
+            damping = None if damping is None else damping[left]
             state, step, settled = state.take(left), laid_out(step[left]), settled[left]
         trial = linearise(views, *moved(state.rotation, state.translation_m, step))
         state, damping = _accept(state, trial, damping, settled)

@@ -192,9 +192,9 @@ def _many_point_homography(plane_m: np.ndarray, rays: np.ndarray):
     rows = np.zeros((len(rays), 2, len(plane_m), 8))
     rows[:, 0, :, 0:3] = rows[:, 1, :, 3:6] = ones
     rows[..., 6:8] = -target[..., None] * ones[:, :2]
-    rows, target = rows.reshape(len(rays), -1, 8), target.reshape(len(rays), -1, 1)
-    normal = rows.swapaxes(-1, -2) @ rows + 1e-13 * len(plane_m) * np.eye(8)
-    solution = np.linalg.solve(normal, rows.swapaxes(-1, -2) @ target)
+    design, right = rows.reshape(len(rays), -1, 8), target.reshape(len(rays), -1, 1)
+    normal = design.swapaxes(-1, -2) @ design + 1e-13 * len(plane_m) * np.eye(8)
+    solution = np.linalg.solve(normal, design.swapaxes(-1, -2) @ right)
     homography = np.concatenate([solution[..., 0], np.ones((len(rays), 1))], axis=1)
     homography = homography.reshape(-1, 3, 3)
     crossed = (ones @ homography[:, 2, :, None] <= 0.0).any(axis=(1, 2))

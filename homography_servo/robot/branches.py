@@ -116,7 +116,8 @@ def _psi_of_lift(robot: Robot, pose: _Pose) -> tuple[np.ndarray, ...]:
 def _crossings(gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find (choice, sample) pairs after which the gap changes sign."""
     with np.errstate(invalid='ignore'):
-        return np.nonzero(gap[:, :-1] * gap[:, 1:] <= 0.0)
+        choice, sample = np.nonzero(gap[:, :-1] * gap[:, 1:] <= 0.0)
+        return choice, sample
 
 
 def _dips(gap: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

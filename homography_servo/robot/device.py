@@ -237,6 +237,6 @@ def _number(word: Token, low: int | None = None, high: int | None = None) -> int
     if not _NUMBER.fullmatch(word.text):
         raise word.error(BAD_NUMBER)
     value = int(word.text)
-    if low is not None and not low <= value <= high:
+    if (low is not None and value < low) or (high is not None and value > high):
         raise word.error(OUT_OF_RANGE)
     return value

@@ -103,7 +103,6 @@ class ArmDriver:
         self._answered = threading.Condition(self._lock)
         self._period_s = 1.0 / rate_for(settings.baud)
         self._mover = Mover(robot, link, settings.joint_margin_rad, self._period_s)
-        self._wire: ServoWire | None = None
         self._ready = self._was_ready = False
         self._misfit = ''
         self._latch = self._hold = ''
@@ -378,8 +377,8 @@ class ArmDriver:
                 self._set_up(event)
             elif isinstance(event, Down):
                 self._lost(event.reason)
-            elif isinstance(event, Notice) and event.name in _CRIES:
-                self._stop_if('' if self._latch else _CRIES[event.name])
+            elif isinstance(event, Notice):
+                self._stop_if('' if self._latch else _CRIES.get(event.name, ''))
             elif isinstance(event, Over):
                 self._stop_if(self._mover.over(event.seq, event.how))
                 self._next_position_s = 0.0  # where is it now?
@@ -393,7 +392,7 @@ class ArmDriver:
     def _set_up(self, event: Up) -> None:
         """Tell a device that has just greeted what it must know, then ask how it is."""
         try:
-            self._wire = ServoWire(self.robot, event.servos, self.settings.tick_s)
+            wire = ServoWire(self.robot, event.servos, self.settings.tick_s)
         except LinkError as error:
             self._misfit = str(error)
             return
@@ -401,10 +400,10 @@ class ArmDriver:
         self.device = f'{event.name}, {event.servos} servos'
         self._asked_s.clear()
         self._on_answer.clear()
-        self._mover.attach(self._wire)
+        self._mover.attach(wire)
         first = ['!stop'] if self._was_ready else []
         watch = f'!watch {int(1000 * self.settings.watchdog_s)}'
-        for line in (*first, watch, '!resume', *self._wire.setup(), '?pos'):
+        for line in (*first, watch, '!resume', *wire.setup(), '?pos'):
             self.link.request(line)
         self._on_answer[self.link.request('?')] = self._first_status
 
@@ -448,7 +447,7 @@ class ArmDriver:
             self._answered.notify_all()
 
     def _position(self, values: tuple, asked_s: float, now_s: float) -> None:
-        units = self._wire.heard(values)
+        units = self._mover.wire.heard(values)
         if units is None:
             self.counts['bad_positions'] += 1
             return

@@ -112,7 +112,11 @@ class RealPort:
 
     def plug(self) -> None:
         """Open it; LinkError says why that fails."""
+        self._opened()
+
+    def _opened(self) -> Transport:
         self._transport = open_transport(self.path, self._baud)
+        return self._transport
 
     def unplug(self) -> None:
         """Close it, as if the cable were pulled."""
@@ -127,9 +131,7 @@ class RealPort:
     def read(self) -> bytes:
         """Give what the host has sent; LinkError while the port is gone."""
         try:
-            if self._transport is None:
-                self.plug()
-            return self._transport.read()
+            return (self._transport or self._opened()).read()
         except LinkError:
             self.unplug()
             raise

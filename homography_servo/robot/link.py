@@ -134,7 +134,11 @@ class Link:
 
     def open_now(self) -> None:
         """Open the port at once; LinkError tells why not."""
+        self._opened()
+
+    def _opened(self) -> Transport:
         self._transport = self._opener()
+        return self._transport
 
     def turn(self, now_s: float) -> list[LinkEvent]:
         """Do what is due; give what happened."""
@@ -155,14 +159,13 @@ class Link:
         return float('inf') if due is None else due
 
     def _turn(self, now_s: float) -> list[LinkEvent]:
-        if self._transport is None:
-            self.open_now()
+        transport = self._transport or self._opened()
         if self.phase is Phase.CLOSED:
             self._greet(now_s)
-        events = self._understood(self._session.feed(self._transport.read()), now_s)
+        events = self._understood(self._session.feed(transport.read()), now_s)
         if self.phase is Phase.GREETING and now_s >= self._greet_at_s:
             self._greet(now_s)
-        self._send(now_s)
+        self._send(transport, now_s)
         return events
 
     def _greet(self, now_s: float) -> None:
@@ -202,7 +205,7 @@ class Link:
         self._back_off_s = BACK_OFF_S[0]
         return Up(servos, name)
 
-    def _send(self, now_s: float) -> None:
+    def _send(self, transport: Transport, now_s: float) -> None:
         try:
             data = self._session.due(now_s)
         except LinkError:
@@ -214,7 +217,7 @@ class Link:
         self._out += data
         if not self._out:
             return
-        sent = self._transport.write(self._out)
+        sent = transport.write(self._out)
         if sent:
             self._out, self._out_since_s = self._out[sent:], now_s
         elif now_s > self._out_since_s + WRITE_S:

@@ -213,21 +213,21 @@ class Machine:
                     return
                 self._job = self._queue.popleft()
                 self._busy_until_s = now_s
-            self._next_command()
+            self._next_command(self._job)
 
-    def _next_command(self) -> None:
+    def _next_command(self, job: Job) -> None:
         """Start the next command at the moment when the one before it ended."""
         at_s = self._busy_until_s
-        command = next(self._job.steps, None)
+        command = next(job.steps, None)
         if command is None:
-            self._end(DONE)
+            self._end(job, DONE)
             if self._queue:
                 self._job = self._queue.popleft()
             return
         try:
             self._run(command, at_s)
         except ScriptError:  # only beyond what was looked at when the line came
-            self._end(STOPPED)
+            self._end(job, STOPPED)
 
     def _run(self, command: Command, at_s: float) -> None:
         if isinstance(command, Wait):
@@ -293,16 +293,15 @@ class Machine:
 
     def _flush(self) -> None:
         if self._job is not None:
-            self._end(STOPPED)
+            self._end(self._job, STOPPED)
         for job in self._queue:
-            self._job = job
-            self._end(STOPPED)
+            self._end(job, STOPPED)
         self._queue.clear()
         self._ahead = None
 
-    def _end(self, how: str) -> None:
-        self.finished.append(Ended(self._job.seq, how))
-        self.last_finished = self._job.seq
+    def _end(self, job: Job, how: str) -> None:
+        self.finished.append(Ended(job.seq, how))
+        self.last_finished = job.seq
         self._job = None
         if not self._queue:
             self._ahead = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from homography_servo.result import Rejected
+from homography_servo.result import required
 from homography_servo.robot.estimate import ArmEstimate
 from homography_servo.robot.governor import Governor
 from homography_servo.robot.limits import limits_of
@@ -72,6 +73,11 @@ class Mover:
         self.estimate.clear()
         self.forget()
 
+    @property
+    def wire(self) -> ServoWire:
+        """Give how the device is spoken to."""
+        return required(self._wire, 'device that has greeted')
+
     def forget(self) -> None:
         """Give up the motion: the device does not follow it any more."""
         self._motion = self._arriving = None
@@ -87,7 +93,11 @@ class Mover:
     @property
     def streaming(self) -> bool:
         """Tell whether targets have to be sent."""
-        return self._motion is not None and self._motion.streamed and not self.standing_by
+        return self._streamed() is not None
+
+    def _streamed(self) -> _Motion | None:
+        return self._motion if self._motion and self._motion.streamed and not self.standing_by \
+            else None
 
     # --- beginning and ending -----------------------------------------------------------
 
@@ -101,7 +111,7 @@ class Mover:
 
     def begin(self, trajectory: Trajectory, now_s: float) -> Rejected | None:
         """Replace the motion by another."""
-        units = self.governor.whole(self._wire.units(trajectory.goal, self._margin_rad))
+        units = self.governor.whole(self.wire.units(trajectory.goal, self._margin_rad))
         if units is None:
             return Rejected('the goal rounds to a servo position outside the limits')
         if trajectory.single_point and not self.busy:
@@ -117,7 +127,7 @@ class Mover:
         if self._motion is None:
             return
         trajectory = stop(self.limits, self.commanded(now_s))
-        self._follow(trajectory, self._wire.units(trajectory.goal, self._margin_rad), now_s)
+        self._follow(trajectory, self.wire.units(trajectory.goal, self._margin_rad), now_s)
 
     @property
     def _outside(self) -> bool:
@@ -127,21 +137,22 @@ class Mover:
                     or np.any(standing > self.limits.upper_rad + ROUNDING_RAD))
 
     def _move(self, trajectory: Trajectory, units: np.ndarray, now_s: float) -> None:
-        way = units - self._wire.units(self.estimate.at(now_s).positions, 0.0)
+        way = units - self.wire.units(self.estimate.at(now_s).positions, 0.0)
         if not way.any():
             return
-        self._set_pace(self._wire.pace(way, trajectory.duration_s))
-        seq = self._link.request(self._wire.move(units), motion=True)
+        self._set_pace(self.wire.pace(way, trajectory.duration_s))
+        seq = self._link.request(self.wire.move(units), motion=True)
         self._motion = _Motion(units, streamed=False, seq=seq)
         self.governor.forget()
 
     def _follow(self, trajectory: Trajectory, units: np.ndarray, now_s: float) -> None:
-        if self.governor.last is None:
-            standing = self._wire.units(self.commanded(now_s).positions, self._margin_rad)
-            self.governor.start(standing, now_s - self._period_s)
+        last = self.governor.last
+        if last is None:
+            last = self.wire.units(self.commanded(now_s).positions, self._margin_rad)
+            self.governor.start(last, now_s - self._period_s)
         if self._motion is None or not self._motion.streamed:
-            self._targets.restart(self.governor.last, now_s)
-            self._set_pace(self._wire.full_pace)
+            self._targets.restart(last, now_s)
+            self._set_pace(self.wire.full_pace)
         self._targets.follow(trajectory, now_s)
         self._arriving = None
         self._motion = _Motion(units, streamed=True)
@@ -149,7 +160,7 @@ class Mover:
 
     def _set_pace(self, pace: np.ndarray) -> None:
         if np.any(pace != self._pace):
-            for line in self._wire.maxspd(pace):
+            for line in self.wire.maxspd(pace):
                 self._link.request(line)
             self._pace = pace
 
@@ -157,15 +168,16 @@ class Mover:
 
     def stream(self, now_s: float) -> None:
         """Send the next target when it is time and the last one was answered."""
-        if not self.streaming or now_s < self.next_due_s or self._unanswered_seq:
+        motion = self._streamed()
+        if motion is None or now_s < self.next_due_s or self._unanswered_seq:
             return
         self.next_due_s = max(self.next_due_s + self._period_s, now_s)
         wanted = self._targets.step(now_s)
         target = self.governor.step(wanted.units, now_s)
         if target is not None:
-            seq = self._link.request(self._wire.goto(target), motion=True)
-            self._motion.seq = self._unanswered_seq = seq
-        elif wanted.done and not self._motion.seq:
+            seq = self._link.request(self.wire.goto(target), motion=True)
+            motion.seq = self._unanswered_seq = seq
+        elif wanted.done and not motion.seq:
             self._motion = None  # all of it was too small for a servo step
 
     def answered(self, seq: int) -> None:
@@ -180,7 +192,8 @@ class Mover:
             return ''
         if how == 'STOPPED':
             return 'the device stopped a motion by itself'
-        if not motion.streamed or np.array_equal(self.governor.last, motion.target):
+        last = self.governor.last
+        if not motion.streamed or (last is not None and np.array_equal(last, motion.target)):
             self._motion, self._arriving = None, motion.target
         return ''
 
@@ -196,7 +209,7 @@ class Mover:
             off = np.abs(units - self._arriving)
             self._arriving = None
             self.estimate.clear()  # replies come in order, and DONE was before: it stands
-        self.estimate.add(time_s, self._wire.joints(units))
+        self.estimate.add(time_s, self.wire.joints(units))
         if off.max() <= ARRIVED_UNITS:
             return ''
         name = self.limits.names[int(np.argmax(off))]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 import time
+from typing import TextIO
 
 from homography_servo.errors import LinkError
 from homography_servo.robot.device import Device
@@ -43,7 +44,7 @@ class SessionLog:
 
     def __init__(self, path: str | Path) -> None:
         try:
-            self._file = open(path, 'a', buffering=1, encoding='ascii')
+            self._file: TextIO | None = open(path, 'a', buffering=1, encoding='ascii')
         except OSError as error:
             raise LogError(f'the session log {path} cannot be written: {error}') from error
 

@@ -29,7 +29,7 @@ class Rivals:
             self._current = (number, now_s)
             return False
         if other is not None and other <= number <= other + NEAR or number == current:
-            self._other, self._current = (current, self._current[1]), (number, now_s)
+            self._other, self._current = self._current, (number, now_s)
             return True
         self._other, self._current = self._current, (number, now_s)
         return False

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from dataclasses import field
 from functools import cached_property
 import math
+from typing import Any
 
 from homography_servo.geometry.face import face_corners
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 # and p0pos is 3000 unless somebody changed it.
 SETTABLE_UNITS = (-2200, 2400)
 _ROTATION_TOLERANCE = 1e-6
+_CORNERS_OF_FACE: Any = None  # put there when a robot is made
 
 
 def _frozen(values) -> np.ndarray:
@@ -122,7 +123,7 @@ class Robot:
     tool_from_object: np.ndarray
     face_size_m: tuple[float, float]
     box_height_m: float = 0.0
-    object_points_m: np.ndarray = field(default=None)
+    object_points_m: np.ndarray = _CORNERS_OF_FACE
 
     def __post_init__(self) -> None:
         object.__setattr__(self, 'joints', tuple(self.joints))

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from dataclasses import field
 import re
-from typing import NamedTuple, Union
+from typing import Callable, NamedTuple, Union
 
 from homography_servo.errors import ServoError
 
@@ -267,7 +267,7 @@ def _read_only(verb: Token, reader: _Reader) -> Assign:
     raise verb.error(READ_ONLY)
 
 
-_VERBS = {
+_VERBS: dict[str, Callable[[Token, _Reader], Command]] = {
     'move': _move, 'jump': _move,
     **{name: _rate for name in RATE_NAMES},
     **{name: _position for name in POSITION_NAMES},

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from homography_servo.result import required
 from homography_servo.robot.protocol import NOT_NOW
 from homography_servo.robot.script import Assign
+from homography_servo.robot.script import Clause
 from homography_servo.robot.script import Move
 from homography_servo.robot.script import OUT_OF_RANGE
 from homography_servo.robot.script import Restart
@@ -32,7 +34,7 @@ class Table:
         """Set properties; a value that does not fit raises ScriptError."""
         for servo in command.servos:
             for name in command.names:
-                value = DEFAULTS[name] if command.value == 'default' else command.value
+                value = command.value if isinstance(command.value, int) else DEFAULTS[name]
                 self._assign(servo, name, value, command.at)
 
     def _assign(self, servo: int, name: str, value: int, at: Token) -> None:
@@ -52,15 +54,19 @@ class Table:
         clauses = [] if isinstance(command, Restart) else command.clauses
         for clause in clauses:
             for servo in clause.servos:
-                place = clause.to if isinstance(clause.to, int) else \
-                    self.rows[servo].get(clause.to)
-                targets[servo] = place if clause.by is None else targets[servo] + clause.by
+                targets[servo] = self._end(servo, clause)
                 self.check(servo, targets[servo], clause.at)
         if isinstance(command, Restart):
             targets = [float(row['initpos']) for row in self.rows]
             for servo, target in enumerate(targets):
                 self.check(servo, target, command.at)
         return targets
+
+    def _end(self, servo: int, clause: Clause) -> float:
+        if clause.by is not None:
+            return self.targets[servo] + clause.by
+        return self.rows[servo][clause.to] if isinstance(clause.to, str) else \
+            required(clause.to, 'place to go to')
 
     def check(self, servo: int, target: float, at: Token) -> None:
         """Refuse a target outside minpos..maxpos, or motion of a servo without power."""

@@ -96,7 +96,7 @@ class TargetStream:
         if self._trajectory is None:
             self._stepped_s = self._now_s
             return self._target()
-        units, advance_s = self._reachable(min(passed_s, _LONGEST_STEP_S))
+        units, advance_s = self._reachable(self._trajectory, min(passed_s, _LONGEST_STEP_S))
         self._stepped_s = self._now_s
         self._changed_s[units != self._units] = self._now_s
         self._units = units
@@ -111,23 +111,23 @@ class TargetStream:
         return Target(self._units.copy(), self._joints, self.state.velocities, self._late_s,
                       self._trajectory is None)
 
-    def _reachable(self, passed_s: float) -> tuple[np.ndarray, float]:
+    def _reachable(self, trajectory: Trajectory, passed_s: float) -> tuple[np.ndarray, float]:
         """Find the largest advance along the path, up to the time passed, that keeps speed."""
-        units = self._units_at(passed_s)
+        units = self._units_at(trajectory, passed_s)
         if self._slow_enough(units):
             return units, passed_s
         low_s, high_s, best = 0.0, passed_s, self._units
         for _ in range(_HALVINGS):
             middle_s = 0.5 * (low_s + high_s)
-            units = self._units_at(middle_s)
+            units = self._units_at(trajectory, middle_s)
             if self._slow_enough(units):
                 low_s, best = middle_s, units
             else:
                 high_s = middle_s
         return best, low_s
 
-    def _units_at(self, advance_s: float) -> np.ndarray:
-        joints = self._trajectory.sample(self._path_s + advance_s).positions
+    def _units_at(self, trajectory: Trajectory, advance_s: float) -> np.ndarray:
+        joints = trajectory.sample(self._path_s + advance_s).positions
         units = to_units(self._robot, joints, self._margin_rad)
         # A trajectory keeps the limits; a servo that started outside them may only come back.
         return np.clip(units, np.minimum(self._range.low, self._units),

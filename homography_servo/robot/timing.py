@@ -95,6 +95,12 @@ class Wanted(NamedTuple):
     velocities: np.ndarray | None
     accelerations: np.ndarray | None
 
+    def take(self, which: np.ndarray | slice) -> Wanted:
+        """Select points."""
+        return Wanted(self.times_s[which], self.positions[which],
+                      None if self.velocities is None else self.velocities[which],
+                      None if self.accelerations is None else self.accelerations[which])
+
 
 def timed(limits: MotionLimits, wanted: Wanted, start: State,
           settings: TrajectorySettings) -> Trajectory | Rejected:
@@ -178,7 +184,7 @@ def _with_lead(limits: MotionLimits, wanted: Wanted, start: State) -> tuple[Want
         return wanted, 0.0
     way = np.abs(wanted.positions[0] - start.positions)
     if len(wanted.times_s) > 1 and way.max() < 1e-9:
-        return Wanted(*(None if table is None else table[1:] for table in wanted)), 0.0
+        return wanted.take(slice(1, None)), 0.0
     needed = np.maximum(1.5 * way / limits.velocity_rad_s,
                         np.sqrt(6.0 * way / limits.acceleration_rad_s2))
     lead_s = max(float(needed.max()), _SHORTEST_S)

@@ -48,7 +48,7 @@ class TrajectoryPoint(NamedTuple):
     """A point of a command; velocities, accelerations and effort may be left out."""
 
     time_s: float
-    positions: Sequence[float]
+    positions: Sequence[float] | np.ndarray
     velocities: Sequence[float] = ()
     accelerations: Sequence[float] = ()
     effort: Sequence[float] = ()
@@ -95,11 +95,11 @@ def accept(limits: MotionLimits, names: Sequence[str], points: Sequence[Trajecto
     problem = _values_problem(limits, wanted)
     if problem is not None:
         return problem
-    wanted = _from_now(wanted, stamp_s, now_s, settings)
-    return wanted if isinstance(wanted, Rejected) else timed(limits, wanted, start, settings)
+    left = _from_now(wanted, stamp_s, now_s, settings)
+    return left if isinstance(left, Rejected) else timed(limits, left, start, settings)
 
 
-def go_to(limits: MotionLimits, joints_rad: Sequence[float], start: State,
+def go_to(limits: MotionLimits, joints_rad: Sequence[float] | np.ndarray, start: State,
           settings: TrajectorySettings = TrajectorySettings()) -> Trajectory | Rejected:
     """Make the shortest motion to a posture (n,): the slowest joint sets the time."""
     return accept(limits, limits.names, [TrajectoryPoint(0.0, joints_rad)], start, settings)
@@ -132,11 +132,14 @@ def _shape_problem(points: Sequence[TrajectoryPoint], count: int) -> Rejected | 
 
 
 def _ordered(points: Sequence[TrajectoryPoint], order: np.ndarray) -> Wanted:
-    def table(what: str) -> np.ndarray | None:
-        rows = [getattr(point, what) for point in points]
-        return np.array(rows, dtype=float)[:, order] if len(rows[0]) else None
-    times_s = np.array([point.time_s for point in points], dtype=float)
-    return Wanted(times_s, table('positions'), table('velocities'), table('accelerations'))
+    def table(rows: list) -> np.ndarray:
+        return np.array(rows, dtype=float)[:, order]
+    first = points[0]
+    return Wanted(
+        np.array([point.time_s for point in points], dtype=float),
+        table([point.positions for point in points]),
+        table([point.velocities for point in points]) if len(first.velocities) else None,
+        table([point.accelerations for point in points]) if len(first.accelerations) else None)
 
 
 def _values_problem(limits: MotionLimits, wanted: Wanted) -> Rejected | None:
@@ -165,5 +168,4 @@ def _from_now(wanted: Wanted, stamp_s: float, now_s: float,
     if times_s[-1] <= 0.0:
         return Rejected(f'the trajectory ended {abs(times_s[-1]):.3g} s ago')
     left = times_s > 0.0
-    tables = (None if table is None else table[left] for table in wanted[1:])
-    return Wanted(times_s[left], *tables)
+    return wanted._replace(times_s=times_s).take(left)

@@ -94,7 +94,7 @@ class TrueArm:
         self.robot = robot
         self.errors = errors
         self._joints_rad: np.ndarray | None = None
-        self._velocity_rad_s = np.zeros(len(robot.joint_names))
+        self._velocity_rad_s: np.ndarray = np.zeros(len(robot.joint_names))
         self._reported_s = 0.0
 
     @property
@@ -105,8 +105,9 @@ class TrueArm:
     def report(self, joints_rad: np.ndarray, velocity_rad_s: np.ndarray | None,
                time_s: float) -> None:
         """Take joints (n,) and their velocity, which counts as zero where it is unusable."""
-        usable = velocity_rad_s is not None and np.isfinite(velocity_rad_s).all()
-        self._velocity_rad_s = velocity_rad_s if usable else np.zeros(len(joints_rad))
+        self._velocity_rad_s = np.zeros(len(joints_rad))
+        if velocity_rad_s is not None and np.isfinite(velocity_rad_s).all():
+            self._velocity_rad_s = velocity_rad_s
         self._joints_rad, self._reported_s = joints_rad, time_s
 
     def known_until(self, time_s: float) -> float:
