@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from dataclasses import field
 from dataclasses import replace
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from homography_servo.geometry.rigid import exp_twist
 from homography_servo.geometry.rigid import skew
@@ -35,6 +35,9 @@ class Prior:
     grip_rad: float = 0.04
 
 
+Body = TypeVar('Body', bound='BodyModel')
+
+
 class BodyModel(Protocol):
     """Predicts the object from a setpoint; immutable, `moved` gives a corrected one."""
 
@@ -42,7 +45,7 @@ class BodyModel(Protocol):
 
     def expect(self, setpoint: np.ndarray) -> tuple[np.ndarray, np.ndarray]: ...
 
-    def moved(self, change: np.ndarray) -> BodyModel: ...
+    def moved(self: Body, change: np.ndarray) -> Body: ...
 
     def variances(self, prior: Prior) -> np.ndarray: ...
 

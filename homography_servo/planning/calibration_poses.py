@@ -165,4 +165,4 @@ def _in_view_between(robot: Robot, camera: Camera, here: np.ndarray, there: np.n
     """Tell to which postures (K, n) the face stays in view, all joints moving together."""
     ways = here + _BETWEEN[:, None] * (there - here)[:, None]
     shown = _shown(robot, camera, ways.reshape(-1, robot.count), settings)
-    return shown.reshape(len(there), -1).all(axis=1)
+    return np.all(shown.reshape(len(there), -1), axis=1)

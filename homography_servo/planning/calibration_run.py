@@ -29,6 +29,7 @@ from homography_servo.planning.servo_state import LOOKING
 from homography_servo.planning.servo_state import MOVING
 from homography_servo.planning.servo_watch import Watch
 from homography_servo.result import Rejected
+from homography_servo.result import required
 from homography_servo.robot.robot_file import Robot
 from homography_servo.settings import real
 from homography_servo.settings import Settings
@@ -152,8 +153,8 @@ class CalibrationRun:
 
     def _move(self, now_s: float) -> None:
         joints, target = self._watch.joints, self._postures_rad[self._index]
-        here = joints.latest_rad
-        travel_px = self._watch.focal_px * corner_travel(
+        here = joints.known_rad
+        travel_px = required(self._watch.focal_px, 'camera') * corner_travel(
             self._model, here, target, self.robot.object_points_m, self.robot.home_depth_m)
         time_s = max(SHORTEST_MOVE_S, move_time(self.robot, target - here)
                      / self._servo.speed_share, 1.5 * travel_px / self._servo.corner_speed_px_s)
@@ -165,7 +166,7 @@ class CalibrationRun:
 
     def _await_arrival(self, now_s: float) -> None:
         joints = self._watch.joints
-        away = np.abs(joints.latest_rad - self._postures_rad[self._index]).max()
+        away = np.abs(joints.known_rad - self._postures_rad[self._index]).max()
         if joints.still and away < ARRIVED_RAD and joints.latest_stamp_s >= self._due_stamp_s:
             self.state = LOOKING
         elif now_s > self._due_s + OVERDUE_S:
@@ -182,7 +183,7 @@ class CalibrationRun:
                 self._rays.append(look.rays)
         if len(self._rays) >= self._settings.calibration_looks:
             rays = np.median(self._rays, axis=0) if len(self._rays) < 5 else _trimmed(self._rays)
-            self._seen.append((joints.latest_rad, rays))
+            self._seen.append((joints.known_rad, rays))
             self._go_next = True
 
     def _solve(self) -> None:
@@ -193,8 +194,8 @@ class CalibrationRun:
 
     def _finish(self, result: Calibration | Rejected) -> None:
         self.result = result
-        failed = isinstance(result, Rejected)
-        self.state, self.reason = (FAILED, result.reason) if failed else (DONE, '')
+        self.state, self.reason = (FAILED, result.reason) if isinstance(result, Rejected) \
+            else (DONE, '')
 
 
 def _trimmed(rays: list[np.ndarray]) -> np.ndarray:

@@ -20,6 +20,7 @@ from homography_servo.planning.planner import Plan
 from homography_servo.planning.planner import plan
 from homography_servo.planning.settings import PlannerSettings
 from homography_servo.result import Rejected
+from homography_servo.result import required
 from homography_servo.robot.kinematics import inverse
 from homography_servo.robot.kinematics import object_pose
 from homography_servo.robot.robot_file import Robot
@@ -71,7 +72,8 @@ class PlanningDesk:
     def home_corners_px(self) -> np.ndarray:
         """Where the points would be seen at the virtual home pose."""
         home = np.eye(4)[None]
-        return look(home, self.camera, self.object_points_m, self.home_depth_m).points_px[0]
+        camera = required(self.camera, 'camera')
+        return look(home, camera, self.object_points_m, self.home_depth_m).points_px[0]
 
     @property
     def noise_px(self) -> float:
@@ -191,12 +193,13 @@ class PlanningDesk:
         view = self._view_of(self._observer.settings.plan_looks_min, now_s)
         if isinstance(view, Rejected):
             return view
-        start = self._observer.view_pose(view, self.camera, now_s, self._arm_pose(now_s))
+        camera, goal = required(self.camera, 'camera'), required(self.goal, 'goal')
+        start = self._observer.view_pose(view, camera, now_s, self._arm_pose(now_s))
         if isinstance(start, Rejected):
             return start
         joints_rad = self._fresh_joints(now_s)
         robot = self._learned(start, joints_rad)
-        return plan(start.home_from_object, self.goal, self.camera, robot, joints_rad,
+        return plan(start.home_from_object, goal, camera, robot, joints_rad,
                     self._settings, self.object_points_m, self._goal_joints_rad)
 
     def _view_of(self, wanted: int, now_s: float) -> StillView | Rejected:
@@ -250,8 +253,10 @@ class PlanningDesk:
                 'without the joints')
 
     def _arm_pose(self, now_s: float) -> np.ndarray | None:
-        joints_rad = None if self._robot is None else self._fresh_joints(now_s)
-        return None if joints_rad is None else object_pose(self._robot, joints_rad)
+        joints_rad = self._fresh_joints(now_s)
+        if self._robot is None or joints_rad is None:
+            return None
+        return object_pose(self._robot, joints_rad)
 
 
 def _quality(view: StillView, estimate: PoseEstimate) -> str:

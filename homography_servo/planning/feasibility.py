@@ -23,6 +23,7 @@ from homography_servo.planning.settings import FeasibilitySettings
 from homography_servo.planning.verdict import Check
 from homography_servo.planning.verdict import PoseValues
 from homography_servo.planning.verdict import Verdict
+from homography_servo.result import required
 from homography_servo.robot.robot_file import Robot
 import numpy as np
 
@@ -84,12 +85,14 @@ def check_path(poses: np.ndarray, camera: Camera, object_points_m: np.ndarray,
                            goal_joints_rad is not None)
     joints_rad, note = None, ''
     if robot is not None:
-        believed = arm_poses(robot, poses, start_joints_rad)
-        led = leading_joints_rad is not None
-        followed = _as_led(leading_joints_rad, poses) if led else follow(
-            robot, believed, start_joints_rad,
-            (settings.reach_tolerance_m, settings.reach_tolerance_rad))
-        values, more = judge_joints(robot, followed, values, settings, led, goal_joints_rad)
+        start = required(start_joints_rad, 'joints at the first pose')
+        believed = arm_poses(robot, poses, start)
+        followed = follow(
+            robot, believed, start,
+            (settings.reach_tolerance_m, settings.reach_tolerance_rad)
+        ) if leading_joints_rad is None else _as_led(leading_joints_rad, poses)
+        values, more = judge_joints(robot, followed, values, settings,
+                                    leading_joints_rad is not None, goal_joints_rad)
         checks += [check_agreement(poses, believed, settings), *more]
         joints_rad, note = followed.joints_rad, _arm_note(robot, values)
     return _conclude(checks, values, joints_rad, note)
@@ -135,9 +138,10 @@ def _checked(poses: np.ndarray, robot: Robot | None, start: np.ndarray | None) -
         raise ValueError(f'poses must have shape (N, 4, 4) with N >= 1, got {poses.shape}')
     if not np.isfinite(poses).all():
         raise ValueError('poses must be finite')
-    if robot is not None and np.shape(start) != (len(robot.joint_names),):
+    shape = () if start is None else np.shape(start)
+    if robot is not None and shape != (len(robot.joint_names),):
         raise ValueError(f'start_joints_rad must have shape ({len(robot.joint_names)},), '
-                         f'got {np.shape(start)}')
+                         f'got {shape}')
     return poses
 
 

@@ -179,8 +179,8 @@ class Flow:
 
     def _inside(self, points_rad: np.ndarray) -> np.ndarray:
         low, high = self._robot.lower_rad, self._robot.upper_rad
-        return ((points_rad >= low + self._margin_rad)
-                & (points_rad <= high - self._margin_rad)).all(axis=1)
+        return np.all((points_rad >= low + self._margin_rad)
+                      & (points_rad <= high - self._margin_rad), axis=1)
 
     def _caps(self, model: ArmModel, here_rad: np.ndarray, points_rad: np.ndarray,
               speed_share: float, px_per_ray: float, corner_speed_px_s: float) -> np.ndarray:

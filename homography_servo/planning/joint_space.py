@@ -10,7 +10,7 @@ the verdict demands it. The search is a pair of trees that grow towards each oth
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from homography_servo.planning.feasibility import look
 from homography_servo.planning.task import Task
@@ -26,10 +26,10 @@ SPARES = (1.02, 1.4, 2.0)  # ask more than the verdict, which looks at other sam
 class Values(NamedTuple):
     """What is asked of configurations, larger is better; numbers or arrays (N,)."""
 
-    room_rad: np.ndarray | float
-    border_px: np.ndarray | float
-    facing_rad: np.ndarray | float  # negative
-    conditioning: np.ndarray | float  # negative beyond a singularity
+    room_rad: Any
+    border_px: Any
+    facing_rad: Any  # negative
+    conditioning: Any  # negative beyond a singularity
 
     def reach(self, limits: Values) -> np.ndarray:
         """Tell where all values are as large as the limits."""
@@ -48,10 +48,11 @@ class JointSpace:
     def __init__(self, task: Task, spare: float = SPARES[0], through: bool = False) -> None:
         self._task, self.through = task, through
         limits = task.settings
-        self._sign = 1.0 if through else self._side(task.joints_rad[None])[1][0]
+        self._sign = 1.0 if through else self._side(task.start_joints_rad[None])[1][0]
         asked = Values(limits.joint_margin_rad, limits.field_margin_px,
                        -np.radians(limits.facing_limit_deg), limits.conditioning_min)
-        start, found = self.values(task.joints_rad[None]), self.values(task.goal_branches)
+        start = self.values(task.start_joints_rad[None])
+        found = self.values(task.goal_branches)
         self.limits = Values(*(min(limit, float(v[0])) for limit, v in zip(asked, start)))
         if task.goal_known and found.conditioning[0] > 0.0:
             self.limits = Values(*(min(limit, float(v[0]))
@@ -73,14 +74,14 @@ class JointSpace:
     @cached_property
     def lower_rad(self) -> np.ndarray:
         """Lower limits with their margin."""
-        lower_rad = self._task.robot.lower_rad + self._passing.room_rad
-        return np.minimum(lower_rad, self._task.joints_rad)
+        lower_rad = self._task.arm.lower_rad + self._passing.room_rad
+        return np.minimum(lower_rad, self._task.start_joints_rad)
 
     @cached_property
     def upper_rad(self) -> np.ndarray:
         """Upper limits with their margin."""
-        upper_rad = self._task.robot.upper_rad - self._passing.room_rad
-        return np.maximum(upper_rad, self._task.joints_rad)
+        upper_rad = self._task.arm.upper_rad - self._passing.room_rad
+        return np.maximum(upper_rad, self._task.start_joints_rad)
 
     def free(self, joints_rad: np.ndarray) -> np.ndarray:
         """Tell which of (N, n) configurations may be passed."""
@@ -97,7 +98,7 @@ class JointSpace:
             return (f'it is near a singularity there (smallest singular value '
                     f'{found.conditioning:.4f}, {self.limits.conditioning:.4f} is needed)')
         if found.room_rad < self.limits.room_rad:
-            robot = self._task.robot
+            robot = self._task.arm
             index = int(np.argmin(np.minimum(joints_rad - robot.lower_rad,
                                              robot.upper_rad - joints_rad)))
             return (f'{robot.joint_names[index]} is {np.degrees(found.room_rad):.1f} deg from '
@@ -119,7 +120,7 @@ class JointSpace:
         task = self._task
         seen = look(task.poses_of(joints_rad), task.camera, task.object_points_m,
                     task.home_depth_m)
-        room = np.minimum(joints_rad - task.robot.lower_rad, task.robot.upper_rad - joints_rad)
+        room = np.minimum(joints_rad - task.arm.lower_rad, task.arm.upper_rad - joints_rad)
         return Values(room.min(axis=1), seen.border_px.min(axis=1), -seen.facing_rad,
                       self._off_singularity(joints_rad))
 
@@ -131,7 +132,7 @@ class JointSpace:
 
     def _side(self, joints_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         length_m = self._task.settings.conditioning_length_m
-        jacobian = object_jacobian(self._task.robot, joints_rad)
+        jacobian = object_jacobian(self._task.arm, joints_rad)
         jacobian = jacobian * np.array([1.0 / length_m] * 3 + [1.0] * 3)[:, None]
         smallest = np.linalg.svd(jacobian, compute_uv=False)[:, -1]
         square = jacobian.shape[-1] == 6
@@ -237,7 +238,6 @@ def spread(way: np.ndarray, count: int) -> np.ndarray:
         return np.repeat(way[:1], count, axis=0)
     keep = np.concatenate([[True], step > 0.0])
     where = np.linspace(0.0, at[-1], count)
-    placed = [np.interp(where, at[keep], column) for column in way[keep].T]
-    placed = np.column_stack(placed)
+    placed = np.column_stack([np.interp(where, at[keep], column) for column in way[keep].T])
     placed[-1] = way[-1]
     return placed

@@ -11,6 +11,7 @@ from collections import deque
 import math
 
 from homography_servo.result import Rejected
+from homography_servo.result import required
 import numpy as np
 
 KEPT = 200
@@ -30,6 +31,11 @@ class JointTrack:
     def latest_rad(self) -> np.ndarray | None:
         """Newest joint positions, None before the first."""
         return self._samples[-1][1] if self._samples else None
+
+    @property
+    def known_rad(self) -> np.ndarray:
+        """Newest joint positions; ValueError before the first."""
+        return required(self.latest_rad, 'joint state')
 
     @property
     def latest_stamp_s(self) -> float:
@@ -67,7 +73,7 @@ class JointTrack:
         late_s = stamp_s - self.latest_stamp_s
         if not 0.0 < late_s <= ahead_s:
             return self.at(stamp_s)
-        return self.latest_rad + late_s * self.velocity_rad_s
+        return self.known_rad + late_s * self.velocity_rad_s
 
     def _note_motion(self, joints_rad: np.ndarray, stamp_s: float) -> None:
         if not self._samples:

@@ -18,10 +18,10 @@ extended Kalman filter over that error. Two things make it fit for planes:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Generic, NamedTuple
 
 from homography_servo.geometry.rigid import skew
-from homography_servo.planning.arm_model import BodyModel
+from homography_servo.planning.arm_model import Body
 from homography_servo.planning.arm_model import Prior
 from homography_servo.planning.control import displacement
 from homography_servo.result import Rejected
@@ -106,7 +106,7 @@ class _Expected(NamedTuple):
     pose: np.ndarray  # (4, 4)
 
 
-class LookFilter:
+class LookFilter(Generic[Body]):
     """
     The model's error and how well it is known.
 
@@ -125,7 +125,7 @@ class LookFilter:
 
     """
 
-    def __init__(self, model: BodyModel, points_m: np.ndarray, home_depth_m: float,
+    def __init__(self, model: Body, points_m: np.ndarray, home_depth_m: float,
                  prior: Prior = Prior(), drift: float = 0.01) -> None:
         self._believed, self._prior, self._drift = model, prior, drift
         self._points_m, self._home_depth_m = np.asarray(points_m, dtype=float), home_depth_m
@@ -133,7 +133,7 @@ class LookFilter:
 
     def reset(self) -> None:
         """Forget all looks and the model that they made."""
-        self.model = self._believed
+        self.model: Body = self._believed
         self.forget()
 
     def forget(self) -> None:
@@ -145,7 +145,7 @@ class LookFilter:
         self.misfit = 0.0  # minus twice the log-likelihood of all looks, up to a constant
         self.surprise = 0.0  # squared innovation over its expectation; about 1 when all is well
 
-    def begin(self, model: BodyModel, setpoint: np.ndarray, covariance: np.ndarray) -> None:
+    def begin(self, model: Body, setpoint: np.ndarray, covariance: np.ndarray) -> None:
         """Start from a model whose pose at a setpoint has this (6, 6) covariance; left error."""
         self.reset()
         self.model, self.looks = model, 1
@@ -217,7 +217,7 @@ class LookFilter:
         spread = by_error @ self._covariance @ by_error.T + look.covariance
         return np.linalg.solve(spread, by_error @ self._covariance).T
 
-    def _expect(self, model: BodyModel, setpoint: np.ndarray) -> _Expected:
+    def _expect(self, model: Body, setpoint: np.ndarray) -> _Expected:
         pose, sensitivity = model.expect(setpoint)
         rays, by_twist = rays_of(pose, self._points_m, self._home_depth_m)
         return _Expected(rays, by_twist @ sensitivity, by_twist, pose)

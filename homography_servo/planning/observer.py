@@ -188,8 +188,8 @@ class Observer:
 def _weighted(looks: list[Look], noise_px: float) -> StillView:
     """Average looks, the better known ones with more weight."""
     corners_px = np.array([look.corners_px for look in looks])
-    known = [look.covariance_px2 for look in looks]
-    if any(covariance is None for covariance in known):
+    known = [look.covariance_px2 for look in looks if look.covariance_px2 is not None]
+    if len(known) < len(looks):
         return StillView(corners_px.mean(axis=0), len(looks), noise_px)
     variances = np.array([np.trace(covariance) for covariance in known])
     mean = np.average(corners_px, axis=0, weights=1.0 / variances)

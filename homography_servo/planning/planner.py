@@ -23,6 +23,7 @@ from homography_servo.planning.task import Proposal
 from homography_servo.planning.task import Task
 from homography_servo.planning.verdict import Verdict
 from homography_servo.result import Rejected
+from homography_servo.result import required
 from homography_servo.robot.robot_file import Robot
 import numpy as np
 
@@ -129,9 +130,10 @@ def _best(task: Task, first: np.ndarray) -> Plan:
             best = (verdict, proposal)
         if verdict.ok or _start_is_bad(verdict):
             break
-    verdict, taken = best
-    return Plan(taken.poses, verdict.joints_rad, verdict, taken.name, tuple(attempts),
-                task.corners(taken.poses))
+    verdict, taken = required(best, 'path that was tried')
+    poses = required(taken.poses, 'path')
+    return Plan(poses, verdict.joints_rad, verdict, taken.name, tuple(attempts),
+                task.corners(poses))
 
 
 def _task(start: np.ndarray, goal: np.ndarray, camera: Camera, robot: Robot | None,
@@ -140,13 +142,15 @@ def _task(start: np.ndarray, goal: np.ndarray, camera: Camera, robot: Robot | No
     for name, pose in (('start', start), ('goal', goal)):
         if np.shape(pose) != (4, 4) or not np.isfinite(pose).all():
             raise ValueError(f'{name} must be a finite (4, 4) array, got {pose!r}')
-    if robot is None and points is None:
-        raise ValueError('without a robot, object_points_m must be given')
+    if points is None:
+        if robot is None:
+            raise ValueError('without a robot, object_points_m must be given')
+        points = robot.object_points_m
     for name, joints in (('start_joints_rad', joints_rad), ('goal_joints_rad', goal_joints_rad)):
         missing = joints is None and name == 'goal_joints_rad'
-        if robot is not None and not missing and np.shape(joints) != (robot.count,):
-            raise ValueError(f'{name} must have shape ({robot.count},), got {np.shape(joints)}')
-    points = robot.object_points_m if points is None else points
+        shape = () if joints is None else np.shape(joints)
+        if robot is not None and not missing and shape != (robot.count,):
+            raise ValueError(f'{name} must have shape ({robot.count},), got {shape}')
     joints_rad = None if joints_rad is None else np.asarray(joints_rad, dtype=float)
     if goal_joints_rad is not None:
         goal_joints_rad = np.asarray(goal_joints_rad, dtype=float)

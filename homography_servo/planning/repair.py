@@ -21,6 +21,7 @@ from homography_servo.planning.joint_space import spread
 from homography_servo.planning.task import Proposal
 from homography_servo.planning.task import shared_out
 from homography_servo.planning.task import Task
+from homography_servo.result import required
 from homography_servo.robot.kinematics import inverse
 from homography_servo.robot.kinematics import object_pose
 import numpy as np
@@ -59,11 +60,16 @@ def _all_faults(task: Task, space: JointSpace) -> str:
 
 def other_turn(task: Task) -> Iterator[Proposal]:
     """Turn gamma the long way round."""
-    taken = task.path()
+    taken = _path(task)
     for turn in TURNS:
-        poses = task.path(turn=turn)
+        poses = _path(task, turn=turn)
         if not same_way(poses, taken):
             yield Proposal('the other turn of gamma', poses)
+
+
+def _path(task: Task, family: str = 'paper', turn: str = 'shorter') -> np.ndarray:
+    """Interpolate between ends that the planner has found to be joined by a path."""
+    return required(task.path(family, turn), 'path')
 
 
 def same_way(poses: np.ndarray, others: np.ndarray) -> bool:
@@ -76,20 +82,20 @@ def other_branch(task: Task) -> Iterator[Proposal]:
     name = 'another branch of the inverse kinematics'
     if task.robot is None:
         return
-    branches = inverse(task.robot, object_pose(task.robot, task.joints_rad), task.joints_rad,
-                       task.settings.seed)
-    branches = [b for b in branches if np.abs(b - task.joints_rad).max() > 1e-3]
+    start = task.start_joints_rad
+    found = inverse(task.robot, object_pose(task.robot, start), start, task.settings.seed)
+    branches = [b for b in found if np.abs(b - start).max() > 1e-3]
     space = JointSpace(task)
-    usable = [b for b in branches if space.free(b)[0] and space.open(task.joints_rad, b)]
+    usable = [b for b in branches if space.free(b)[0] and space.open(start, b)]
     if not usable:
         yield Proposal(name, None, reason=(
             f'{len(branches)} other branches at the start, none can be gone over to without '
             'a singularity, a limit or leaving the view'))
-    path = task.path()
+    path = _path(task)
     for branch in usable:
-        ways = [np.abs(branch - task.joints_rad).max(), 1.0]
+        ways = [np.abs(branch - start).max(), 1.0]
         first, _ = shared_out(task.count - 1, ways)
-        switch = spread(np.array([task.joints_rad, branch]), first + 1)
+        switch = spread(np.array([start, branch]), first + 1)
         poses = np.concatenate([task.poses_of(switch), path[1:]])
         yield Proposal(name, poses)
 
@@ -101,7 +107,7 @@ def other_families(task: Task) -> Iterator[Proposal]:
             continue
         taken: list[np.ndarray] = []
         for turn in ('shorter', *TURNS):
-            poses = task.path(family, turn)
+            poses = _path(task, family, turn)
             if any(same_way(poses, other) for other in taken):
                 continue
             taken.append(poses)
@@ -120,7 +126,7 @@ def via_poses(task: Task) -> Iterator[Proposal]:
 
 def _calm_stops(task: Task) -> list[np.ndarray]:
     """Give poses on the optical axis, square to the camera, halfway in turn."""
-    middle = task.between(task.start, task.goal, 3, CALM_FAMILY)[1]
+    middle = required(task.between(task.start, task.goal, 3, CALM_FAMILY), 'path')[1]
     heading = np.arctan2(middle[1, 0], middle[0, 0])
     stops = []
     for turn in (0.0, np.pi / 2, -np.pi / 2):
@@ -139,11 +145,11 @@ def _arm_stops(task: Task, count: int) -> list[np.ndarray]:
     samples = rng.uniform(space.lower_rad, space.upper_rad, (_SAMPLES, len(space.lower_rad)))
     samples = samples[space.free(samples)]
     calm = space.values(samples).conditioning >= task.settings.lead_below
-    samples = samples[calm] if calm.any() else samples
+    samples = samples[calm] if np.any(calm) else samples
     if not len(space.goals) or not len(samples):
         return []
     onward = np.linalg.norm(samples[:, None] - space.goals[None], axis=2).min(axis=1)
-    detour = onward + np.linalg.norm(samples - task.joints_rad, axis=1)
+    detour = onward + np.linalg.norm(samples - task.start_joints_rad, axis=1)
     best = samples[np.argsort(detour, kind='stable')[:max(count, 0)]]
     return list(task.poses_of(best)) if len(best) else []
 
@@ -168,14 +174,14 @@ def through_singularity(task: Task) -> Iterator[Proposal]:
 
 def _straight(task: Task, space: JointSpace) -> Iterator[Proposal]:
     for number, goal in enumerate(space.goals):
-        yield _along(task, space, np.array([task.joints_rad, goal]),
+        yield _along(task, space, np.array([task.start_joints_rad, goal]),
                      f'a straight path in joint space{space.suffix} (branch {number + 1})')
 
 
 def _searched(task: Task, space: JointSpace) -> Proposal:
     name = f'a searched path in joint space{space.suffix}'
     rng = np.random.default_rng(task.settings.seed)
-    way = search(space, task.joints_rad, space.goals, task.settings.search_nodes, rng)
+    way = search(space, task.start_joints_rad, space.goals, task.settings.search_nodes, rng)
     if way is not None:
         return _along(task, space, shortened(space, way, rng), name)
     return Proposal(name, None, reason=(

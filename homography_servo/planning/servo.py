@@ -40,6 +40,7 @@ from homography_servo.planning.servo_state import MOVING
 from homography_servo.planning.servo_state import Progress
 from homography_servo.planning.servo_watch import Watch
 from homography_servo.result import Rejected
+from homography_servo.result import required
 from homography_servo.robot.robot_file import Robot
 import numpy as np
 
@@ -94,6 +95,10 @@ class Servo:
         """Tell whether the servo is on its way (or holding on it)."""
         return self.state in ACTIVE
 
+    @property
+    def _poses(self) -> np.ndarray:
+        return required(self._path, 'path')
+
     # Inputs.
 
     def set_focal(self, focal_px: float | None) -> None:
@@ -112,7 +117,7 @@ class Servo:
             self._end(FAILED, f'the new path is vetoed: {self._veto}')
             return
         standing = self._flow is not None or self.state != MOVING
-        joints_rad = self.watch.joints.latest_rad if standing else self._moves.target_rad
+        joints_rad = self.watch.joints.known_rad if standing else self._moves.goal_rad
         self._aim_at(self._nearest_pose(self.filter.pose(joints_rad)))
         if self._flow is not None:
             self._flow.follow(self._path, self._attempt.index)
@@ -187,7 +192,7 @@ class Servo:
         elif self.state == HOLD:
             self._resume(now_s)
         elif self._flow is not None:
-            self._flow_on(now_s)
+            self._flow_on(self._flow, now_s)
         elif self.state == MOVING:
             self._await_arrival(now_s)
         if self.state == LOOKING and self._take_looks():
@@ -226,7 +231,7 @@ class Servo:
         return taken > 0
 
     def _decide(self, now_s: float) -> None:
-        joints_rad = self.watch.joints.latest_rad
+        joints_rad, path = self.watch.joints.known_rad, self._poses
         here = self.filter.pose(joints_rad)
         if self._attempt.index < 0:
             self._begin(here)
@@ -235,9 +240,9 @@ class Servo:
         if self._lead.passes(self._attempt.index):
             self._pass_by(joints_rad, here, now_s)
             return
-        last = self._attempt.index == len(self._path) - 1
+        last = self._attempt.index == len(path) - 1
         allowed = self._allowed(last)
-        twist = displacement(here, self._path[self._attempt.index])
+        twist = displacement(here, path[self._attempt.index])
         over = errors_of(twist).over(allowed)
         unsure = sigmas_of(self.filter.covariance(joints_rad)).over(allowed)
         self._report(twist, unsure)
@@ -255,7 +260,7 @@ class Servo:
     def _pass_by(self, joints_rad: np.ndarray, here: np.ndarray, now_s: float) -> None:
         """Go through a singularity as planned; what looks say about it cannot be acted on."""
         index = self._attempt.index
-        self._report(displacement(here, self._path[index]), math.nan)
+        self._report(displacement(here, self._poses[index]), math.nan)
         if self._lead.arrived(index, joints_rad):
             self._reached(now_s)
         else:
@@ -273,12 +278,12 @@ class Servo:
     def _report(self, twist: np.ndarray, unsure: float) -> None:
         index = self._attempt.index
         self.progress = Progress(
-            index + 1, len(self._path), False, float(np.linalg.norm(twist[:3])),
+            index + 1, len(self._poses), False, float(np.linalg.norm(twist[:3])),
             float(np.linalg.norm(twist[3:])), self._attempt.moves, self._attempt.looks, unsure)
 
     def _begin(self, here: np.ndarray) -> None:
         index = self._nearest_pose(here)
-        away = displacement(here, self._path[index])
+        away = displacement(here, self._poses[index])
         far_m, far_rad = np.linalg.norm(away[:3]), np.linalg.norm(away[3:])
         if far_m > self.settings.start_distance_m \
                 or far_rad > math.radians(self.settings.start_angle_deg):
@@ -286,11 +291,11 @@ class Servo:
                       f'{math.degrees(far_rad):.0f} deg away from the path; plan again')
             return
         self._attempt = Attempt(index, looks=self._attempt.looks)
-        self._lead_from_here(self.watch.joints.latest_rad)
+        self._lead_from_here(self.watch.joints.known_rad)
 
     def _nearest_pose(self, here: np.ndarray) -> int:
         """Find the pose of the path to go on from: the first one unless another is nearer."""
-        away = np.array([displacement(here, pose) for pose in self._path])
+        away = np.array([displacement(here, pose) for pose in self._poses])
         far = np.hypot(np.linalg.norm(away[:, :3], axis=1) / 0.1,
                        np.linalg.norm(away[:, 3:], axis=1))
         spacing = np.median(np.abs(np.diff(far))) if len(far) > 1 else 0.0
@@ -302,23 +307,22 @@ class Servo:
 
     def _reached(self, now_s: float) -> None:
         self.progress = self.progress._replace(reached=True)
-        if self._attempt.index == len(self._path) - 1:
+        if self._attempt.index == len(self._poses) - 1:
             self._end(DONE, '', stop=False)
             return
         if not self._lead.passes(self._attempt.index):
-            self._lead.note(self._attempt.index, self.watch.joints.latest_rad)
+            self._lead.note(self._attempt.index, self.watch.joints.known_rad)
         self._aim_at(self._attempt.index + 1)
         if self.settings.mode == 'continuous' and not self._lead.needed:
-            self._flow = Flow(self.robot, self._path, self._attempt.index,
-                              self.settings.servo_margin_rad)
-            self.state = MOVING
-            self._send_flow(now_s)
+            flow = Flow(self.robot, self._poses, self._attempt.index,
+                        self.settings.servo_margin_rad)
+            self._flow, self.state = flow, MOVING
+            self._send_flow(flow, now_s)
         else:
             self._move(now_s, math.inf)
 
-    def _flow_on(self, now_s: float) -> None:
+    def _flow_on(self, flow: Flow, now_s: float) -> None:
         """Keep the stream of commands going; at its end wait for rest, then look."""
-        flow = self._flow
         flow.advance(now_s)
         if flow.index != self._attempt.index:
             self._aim_at(flow.index)
@@ -326,12 +330,12 @@ class Servo:
         if flow.ends and now_s > flow.ends_s - FLOW_LAST_S:
             self._flow = None
         elif seen or now_s > flow.sent_s + FLOW_REFRESH_S:
-            self._send_flow(now_s)
+            self._send_flow(flow, now_s)
 
-    def _send_flow(self, now_s: float) -> None:
-        joints, settings = self.watch.joints, self.settings
-        command = self._flow.command(
-            self.filter.model, joints.latest_rad, settings.speed_share, self.watch.focal_px,
+    def _send_flow(self, flow: Flow, now_s: float) -> None:
+        settings, focal_px = self.settings, required(self.watch.focal_px, 'camera')
+        command = flow.command(
+            self.filter.model, self.watch.joints.known_rad, settings.speed_share, focal_px,
             settings.corner_speed_px_s, now_s)
         if command is None:  # look there; the step to the pose will name the joint
             self._flow, self._pending = None, Command()
@@ -343,8 +347,8 @@ class Servo:
         taken = self._looks.moving(self.settings)
         self._attempt.looks += taken
         if taken:
-            here = self.filter.pose(self.watch.joints.latest_rad)
-            self._report(displacement(here, self._path[self._attempt.index]), math.nan)
+            here = self.filter.pose(self.watch.joints.known_rad)
+            self._report(displacement(here, self._poses[self._attempt.index]), math.nan)
         return taken > 0
 
     def _move(self, now_s: float, over: float) -> None:
@@ -363,7 +367,7 @@ class Servo:
     def _step(self, now_s: float) -> None:
         index = self._attempt.index
         step = self._step_to(index, self._attempt.moves)
-        last = index == len(self._path) - 1
+        last = index == len(self._poses) - 1
         if _blocked(step) or _shortened(step) and self._attempt.moves >= 2 and not last:
             later = self._next_open(index)
             if later is None:
@@ -381,7 +385,7 @@ class Servo:
         if self._lead.passes(index) or self._lead.leads(index) and not moves:
             wanted_rad = self._lead.target(index)
         else:
-            wanted_rad = joints_for(model, self.watch.joints.latest_rad, self._path[index])
+            wanted_rad = joints_for(model, self.watch.joints.known_rad, self._poses[index])
         return self._moves.step_to(model, wanted_rad, self.settings)
 
     def _next_open(self, index: int) -> int | None:
@@ -391,13 +395,13 @@ class Servo:
         With a wrong model the way between two good poses may brush a limit; it is left
         out then. The last pose never is.
         """
-        for later in range(index + 1, min(index + 1 + PASSED_OVER, len(self._path))):
+        for later in range(index + 1, min(index + 1 + PASSED_OVER, len(self._poses))):
             if not _blocked(self._step_to(later, 0)):
                 return later
         return None
 
     def _at_limit(self, joint: str) -> str:
-        angle = self.watch.joints.latest_rad[self.robot.joint_names.index(joint)]
+        angle = self.watch.joints.known_rad[self.robot.joint_names.index(joint)]
         return f'{joint} is at its limit ({math.degrees(angle):.1f} deg)'
 
     def _give_up(self, unsure: float, agrees: bool) -> None:

@@ -12,6 +12,7 @@ from homography_servo.planning.control import move_time
 from homography_servo.planning.control import Step
 from homography_servo.planning.servo_settings import ServoSettings
 from homography_servo.planning.servo_watch import Watch
+from homography_servo.result import required
 from homography_servo.robot.robot_file import Robot
 import numpy as np
 
@@ -41,22 +42,28 @@ class Moves:
         self._due_s = self.due_stamp_s = -math.inf
 
     @property
+    def goal_rad(self) -> np.ndarray:
+        """Give `target_rad`; ValueError before the first move."""
+        return required(self.target_rad, 'move')
+
+    @property
     def length_rad(self) -> float:
         """Give the largest joint motion of the last move."""
         return 0.0 if self._left_rad is None else \
-            float(np.abs(self.target_rad - self._left_rad).max())
+            float(np.abs(self.goal_rad - self._left_rad).max())
 
     @property
     def arrived(self) -> bool:
         """Tell whether the joints stand at the target, and had the time to get there."""
         joints = self._watch.joints
-        near = np.abs(joints.latest_rad - self.target_rad).max() < ARRIVED_RAD
+        near = np.abs(joints.known_rad - self.goal_rad).max() < ARRIVED_RAD
         return bool(joints.still and near and joints.latest_stamp_s >= self.due_stamp_s)
 
     @property
     def began(self) -> bool:
         """Tell whether the joints have left the start of the move."""
-        return bool(np.abs(self._watch.joints.latest_rad - self._left_rad).max() > ARRIVED_RAD)
+        left_rad = required(self._left_rad, 'move')
+        return bool(np.abs(self._watch.joints.known_rad - left_rad).max() > ARRIVED_RAD)
 
     def stopped_short(self, now_s: float) -> bool:
         """Tell whether the joints went and stand, after their time, but elsewhere."""
@@ -72,7 +79,7 @@ class Moves:
 
     def step_to(self, model: ArmModel, wanted_rad: np.ndarray, settings: ServoSettings) -> Step:
         """Shorten the way to wanted joints to what limits and tracker allow."""
-        here_rad = self._watch.joints.latest_rad
+        here_rad = self._watch.joints.known_rad
         step = limit_step(self._robot, here_rad, wanted_rad, settings.servo_margin_rad,
                           settings.move_max_rad)
         travel_px = self._travel_px(model, step.joints_rad)
@@ -85,7 +92,7 @@ class Moves:
     def go(self, model: ArmModel, target_rad: np.ndarray, settings: ServoSettings, now_s: float
            ) -> Command:
         """Give the command to joints, in the shortest time that arm and tracker can follow."""
-        way_rad = target_rad - self._watch.joints.latest_rad
+        way_rad = target_rad - self._watch.joints.known_rad
         time_s = max(SHORTEST_MOVE_S, move_time(self._robot, way_rad) / settings.speed_share,
                      self._travel_px(model, target_rad) / settings.corner_speed_px_s)
         return self.follow(Command.to(target_rad, time_s), now_s)
@@ -99,6 +106,6 @@ class Moves:
         return command
 
     def _travel_px(self, model: ArmModel, target_rad: np.ndarray) -> float:
-        return self._watch.focal_px * corner_travel(
-            model, self._watch.joints.latest_rad, target_rad, self._robot.object_points_m,
+        return required(self._watch.focal_px, 'camera') * corner_travel(
+            model, self._watch.joints.known_rad, target_rad, self._robot.object_points_m,
             self._robot.home_depth_m)

@@ -17,6 +17,7 @@ from homography_servo.planning.follow import path_lengths
 from homography_servo.planning.settings import PlannerSettings
 from homography_servo.planning.verdict import Verdict
 from homography_servo.result import Rejected
+from homography_servo.result import required
 from homography_servo.robot.kinematics import inverse
 from homography_servo.robot.kinematics import object_pose
 from homography_servo.robot.robot_file import Robot
@@ -52,6 +53,16 @@ class Task:
         """Tell whether the arm stood at the goal when it was taught."""
         return self.goal_joints_rad is not None
 
+    @cached_property
+    def arm(self) -> Robot:
+        """Give the arm; ValueError without one."""
+        return required(self.robot, 'arm to plan for')
+
+    @cached_property
+    def start_joints_rad(self) -> np.ndarray:
+        """Give the joints (n,) at the start; ValueError without an arm."""
+        return required(self.joints_rad, 'joints at the start')
+
     @property
     def home_depth_m(self) -> float:
         """Depth of the virtual home pose."""
@@ -59,9 +70,9 @@ class Task:
 
     def check(self, proposal: Proposal) -> Verdict:
         """Judge a path in full."""
-        return check_path(proposal.poses, self.camera, self.object_points_m, self.robot,
-                          self.joints_rad, self.settings, proposal.joints_rad,
-                          self.goal_joints_rad)
+        return check_path(required(proposal.poses, 'path to check'), self.camera,
+                          self.object_points_m, self.robot, self.joints_rad, self.settings,
+                          proposal.joints_rad, self.goal_joints_rad)
 
     def path(self, family: str = 'paper', turn: str = 'shorter') -> np.ndarray | Rejected:
         """Interpolate from the start to the goal, with as many poses as asked for."""
@@ -76,7 +87,7 @@ class Task:
         """Interpolate from stop to stop, the poses shared out by the length of the ways."""
         ways = [max(path_lengths(np.array(pair))[-1], 1e-9) for pair in zip(stops, stops[1:])]
         counts = shared_out(self.count - 1, ways)
-        parts = [self.between(a, b, n + 1, family)[1:]
+        parts = [required(self.between(a, b, n + 1, family), 'way between stops')[1:]
                  for a, b, n in zip(stops, stops[1:], counts)]
         return np.concatenate([stops[0][None], *parts])
 
@@ -96,7 +107,7 @@ class Task:
     @cached_property
     def seen_from_arm(self) -> np.ndarray:
         """Give the shift (4, 4) from measured poses to those of the arm's model."""
-        return object_pose(self.robot, self.joints_rad) @ inverted(self.start)
+        return object_pose(self.arm, self.start_joints_rad) @ inverted(self.start)
 
     @cached_property
     def seen_from_camera(self) -> np.ndarray:
@@ -112,7 +123,7 @@ class Task:
         little wrong, it may find none or slightly others.
         """
         target = self.seen_from_arm @ self.goal
-        found = inverse(self.robot, target, self.joints_rad, self.settings.seed)
+        found = inverse(self.arm, target, self.joints_rad, self.settings.seed)
         if self.goal_joints_rad is None:
             return found
         others = [q for q in found if not same_posture(q, self.goal_joints_rad)]
@@ -120,7 +131,7 @@ class Task:
 
     def poses_of(self, joints_rad: np.ndarray) -> np.ndarray:
         """Give the poses (N, 4, 4), as the camera would measure them, of joints (N, n)."""
-        return self.seen_from_camera @ object_pose(self.robot, joints_rad)
+        return self.seen_from_camera @ object_pose(self.arm, joints_rad)
 
     def corners(self, poses: np.ndarray) -> np.ndarray:
         """Project the object's points (N, M, 2) at poses."""
@@ -129,8 +140,8 @@ class Task:
 
 def shared_out(total: int, weights: list[float]) -> list[int]:
     """Split a number of steps in proportion to weights, at least one each."""
-    ends = np.cumsum(weights) / np.sum(weights) * max(total, len(weights))
-    ends = np.round(ends).astype(int)
+    shares = np.cumsum(weights) / np.sum(weights)
+    ends = np.round(shares * max(total, len(weights))).astype(int)
     counts = np.maximum(np.diff(ends, prepend=0), 1)
     counts[int(np.argmax(counts))] += max(total, len(weights)) - counts.sum()
     return [int(n) for n in np.maximum(counts, 1)]
