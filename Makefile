@@ -10,6 +10,8 @@ INSTALL_BASE := $(BASE)install
 LOG_BASE := $(BASE)log
 CONFIG ?= sim.yaml
 SUITES ?= pose tracker plan servo latency
+CORE_TESTS := $(addprefix test/,geometry tracking robot planning simulation test_settings.py \
+	test_places.py test_result.py)
 export INSTALL_BASE
 export VENV := $(abspath $(VENV))
 
@@ -23,7 +25,7 @@ ENTER := . tools/enter.sh
 COLCON := colcon --log-base $(LOG_BASE)
 BASES := --build-base $(BUILD_BASE) --install-base $(INSTALL_BASE)
 
-.PHONY: help setup build test demo run benchmark test-noble pictures clean
+.PHONY: help setup build test demo run benchmark test-noble types coverage pictures clean
 
 help:  ## show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 14
@@ -57,6 +59,14 @@ benchmark: build  ## measure; SUITES='pose tracker plan servo latency'
 test-noble:  ## run all tests with the versions of Ubuntu 24.04
 	@$(MAKE) --no-print-directory test VENV=.venv-noble BASE=build/noble/ \
 		CONSTRAINTS=requirements/noble.txt PYTHON="$$(bash tools/find_python.sh 3.12)"
+
+types: $(ENVIRONMENT)  ## check the type annotations of the core with mypy
+	@$(ENTER) && python3 -m mypy
+
+coverage: $(ENVIRONMENT)  ## measure how much of the core its own tests run
+	@$(ENTER) && export PYTHONPATH="$(CURDIR):$$PYTHONPATH" && \
+		python3 -m coverage run -m pytest -q $(CORE_TESTS) && \
+		python3 tools/coverage_by_package.py --aim 95
 
 pictures: demo  ## make the pictures of README and docs anew (needs Chromium)
 	@cp report/figure_2_paths.png docs/images/trial.png

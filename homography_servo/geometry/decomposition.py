@@ -187,7 +187,7 @@ def parameters_from_pose(home_from_object: np.ndarray,
 def rotation_from_angles(alpha: np.ndarray, beta: np.ndarray, gamma: np.ndarray) -> np.ndarray:
     """Give R = Rx(alpha) Ry(beta) Rz(gamma) (..., 3, 3): eq. 7 with (1, 3) = sin(beta)."""
     alpha, beta, gamma = np.broadcast_arrays(alpha, beta, gamma)
-    (sa, sb, sg), (ca, cb, cg) = (f([alpha, beta, gamma]) for f in (np.sin, np.cos))
+    (sa, sb, sg), (ca, cb, cg) = np.sin([alpha, beta, gamma]), np.cos([alpha, beta, gamma])
     rows = [cb * cg, -cb * sg, sb,
             ca * sg + sa * sb * cg, ca * cg - sa * sb * sg, -sa * cb,
             sa * sg - ca * sb * cg, sa * cg + ca * sb * sg, ca * cb]

@@ -60,8 +60,8 @@ def main(args: Sequence[str] | None = None) -> int:
               file=sys.stderr)
         return 2
     try:
-        port = RealPort(options.port, options.baud or 115200) if options.port \
-            else PtyPort(options.link)
+        port: RealPort | PtyPort = RealPort(options.port, options.baud or 115200) \
+            if options.port else PtyPort(options.link)
         emulator = Emulator(Device(options.servos, tick_s=options.tick), port, options.fault,
                             options.log, options.seed, 0 if options.port else options.baud)
     except (LinkError, OSError) as error:

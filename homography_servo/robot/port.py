@@ -131,6 +131,8 @@ class Port:
                 self._emulator = Emulator(Device(servos, 'fake', tick_s), pty, faults,
                                           settings.fake_log or None)
             except OSError as error:
+                pty.close()
+                self.close()
                 raise LogError(f'the log {settings.fake_log} cannot be written: {error}') \
                     from error
             self._emulator.start()

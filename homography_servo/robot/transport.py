@@ -260,4 +260,6 @@ def open_transport(url: str, baud: int) -> Transport:
         With a sentence that says what to do.
 
     """
-    return UrlTransport(url, baud) if '://' in url else SerialTransport(url, baud)
+    if '://' in url:
+        return UrlTransport(url, baud)
+    return SerialTransport(url, baud)
