@@ -65,6 +65,7 @@ class Mover:
         self._motion: _Motion | None = None
         self._arriving: np.ndarray | None = None  # told DONE, not seen there yet
         self._unanswered_seq = 0
+        self._pace_seq = 0  # of the last line that sets the pace, until it has run
 
     def attach(self, wire: ServoWire) -> None:
         """Begin with a device that has been told the limits of the arm."""
@@ -81,7 +82,7 @@ class Mover:
     def forget(self) -> None:
         """Give up the motion: the device does not follow it any more."""
         self._motion = self._arriving = None
-        self._unanswered_seq = 0
+        self._unanswered_seq = self._pace_seq = 0
         self.governor.forget()
         self._link.drop_motion()
 
@@ -146,6 +147,9 @@ class Mover:
         self.governor.forget()
 
     def _follow(self, trajectory: Trajectory, units: np.ndarray, now_s: float) -> None:
+        seq = 0
+        if self._motion is not None and not self._motion.streamed:
+            seq = self._end_move(now_s)
         last = self.governor.last
         if last is None:
             last = self.wire.units(self.commanded(now_s).positions, self._margin_rad)
@@ -155,13 +159,26 @@ class Mover:
             self._set_pace(self.wire.full_pace)
         self._targets.follow(trajectory, now_s)
         self._arriving = None
-        self._motion = _Motion(units, streamed=True)
+        self._motion = _Motion(units, streamed=True, seq=seq)
         self.next_due_s = min(self.next_due_s, now_s + self._period_s)
 
+    def _end_move(self, now_s: float) -> int:
+        """
+        Steer to where the arm can stand: only a target ends a move of the device.
+
+        It goes out even if it is where the arm is now, at once, and before any pace: a line
+        of script would wait for the end of the move.
+        """
+        rest = stop(self.limits, self.commanded(now_s)).goal
+        target = self.wire.units(rest, self._margin_rad)
+        self.governor.start(target, now_s)
+        self._unanswered_seq = self._link.request(self.wire.goto(target), motion=True)
+        return self._unanswered_seq
+
     def _set_pace(self, pace: np.ndarray) -> None:
-        if np.any(pace != self._pace):
+        if self._pace is None or np.any(pace != self._pace):
             for line in self.wire.maxspd(pace):
-                self._link.request(line)
+                self._pace_seq = self._link.request(line)
             self._pace = pace
 
     # --- going on -----------------------------------------------------------------------
@@ -169,8 +186,8 @@ class Mover:
     def stream(self, now_s: float) -> None:
         """Send the next target when it is time and the last one was answered."""
         motion = self._streamed()
-        if motion is None or now_s < self.next_due_s or self._unanswered_seq:
-            return
+        if motion is None or now_s < self.next_due_s or self._unanswered_seq or self._pace_seq:
+            return  # a target would throw the pace out of the queue of the device
         self.next_due_s = max(self.next_due_s + self._period_s, now_s)
         wanted = self._targets.step(now_s)
         target = self.governor.step(wanted.units, now_s)
@@ -188,6 +205,9 @@ class Mover:
     def over(self, seq: int, how: str) -> str:
         """Take note that a line has run; give a sentence when that is not as it should be."""
         motion = self._motion
+        if seq == self._pace_seq:
+            self._pace_seq = 0
+            self._pace = self._pace if how == 'DONE' else None  # told again before it is needed
         if motion is None or seq != motion.seq:
             return ''
         if how == 'STOPPED':
@@ -199,6 +219,9 @@ class Mover:
 
     def rests(self, finished_seq: int) -> None:
         """Take note that the device is idle; the line that said so may have been lost."""
+        if self._pace_seq:
+            self._pace = self._pace if finished_seq == self._pace_seq else None
+            self._pace_seq = 0
         if self._motion and self._motion.seq == finished_seq and not self._unanswered_seq:
             self.over(finished_seq, 'DONE')
 

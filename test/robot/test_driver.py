@@ -156,6 +156,53 @@ def test_no_points_mean_stop_softly_and_stay_ready(rig):
     assert rig.go([0.0] * 6) is None
 
 
+@pytest.mark.parametrize('way_rad', [0.03, 0.05, 0.3])
+@pytest.mark.parametrize('moved_s', [0.03, 0.1, 0.25])
+def test_a_slow_move_is_stopped_even_where_braking_takes_less_than_a_servo_step(
+        rig, way_rad, moved_s):
+    assert rig.send((2.0, [way_rad, -way_rad, 0.0, 0.1 * way_rad, 0.0, way_rad])) is None
+    rig.run(moved_s)
+    assert rig.state == 'MOVING' and rig.send() is None
+    rig.run(0.25)
+    assert rig.state == 'IDLE' and stands(rig, 2.5)
+    assert np.abs(rig.arm.positions).max() < 0.5 * way_rad + HALF_UNIT
+
+
+def test_a_hold_stops_a_slow_move_too(rig):
+    rig.send((2.0, [0.02] * 6))
+    rig.run(0.3)
+    rig.driver.hold('a reason', rig.now_s)
+    rig.run(0.2)
+    assert rig.state == 'HOLD: a reason' and stands(rig, 2.0)
+
+
+def test_what_replaces_a_slow_move_is_not_slow(rig):
+    rig.send((5.0, [0.2] * 6))
+    rig.run(0.5)
+    assert rig.send((0.6, [0.3] * 6), (1.2, [0.6] * 6)) is None
+    rig.run(1.6)
+    assert rig.arm.positions == pytest.approx([0.6] * 6, abs=HALF_UNIT) and rig.state == 'IDLE'
+    rows = [row['maxspd'] for row in rig.device.machine.table.rows]
+    assert rows == list(rig.driver._mover.wire.full_pace)
+    assert Judge().watch(rig.log).violations == []
+
+
+def test_the_pace_is_told_again_when_the_device_has_thrown_it_away(rig):
+    for _ in range(3):  # slow, stopped, streamed, stopped: whatever the queue has lost
+        rig.send((5.0, [0.2] * 6))
+        rig.run(0.3)
+        rig.send()
+        rig.send((0.5, [0.1] * 6), (0.8, [0.0] * 6))
+        rig.run(0.1)
+        rig.send()
+        rig.run(0.3)
+    start_s = rig.now_s
+    assert rig.send((0.5, [0.3] * 6)) is None
+    rig.run(0.9)
+    assert rig.arm.positions == pytest.approx([0.3] * 6, abs=HALF_UNIT) and rig.state == 'IDLE'
+    assert [line for line in rig.heard(start_s) if line.startswith('move')]
+
+
 def test_a_command_to_where_it_stands_moves_nothing(rig):
     start_s = rig.now_s
     assert rig.go([0.0] * 6) is None
