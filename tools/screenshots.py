@@ -1,8 +1,8 @@
 """
-Make the pictures of the dashboard in docs/images from a real run of the simulation.
+Make the pictures of dashboard and report in docs/images from a real run of the simulation.
 
 Starts the nodes with the dashboard, lets the servo trial run, and photographs the
-page half-way along the path, wide and narrow.
+dashboard half-way along the path, and a report, wide and narrow.
 
 Example: . tools/enter.sh && python tools/screenshots.py
 """
@@ -33,6 +33,8 @@ def parser() -> argparse.ArgumentParser:
                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     about.add_argument('--config', default='sim.yaml', metavar='FILE')
     about.add_argument('--output', default=ROOT / 'docs' / 'images', type=Path, metavar='FOLDER')
+    about.add_argument('--report', default=ROOT / 'report', type=Path, metavar='FOLDER',
+                       help='of the report to photograph (default report)')
     about.add_argument('--poses', default=15, type=int, metavar='N', help='of the path')
     about.add_argument('--domain', default=87, type=int, help='ROS domain to work in')
     return about
@@ -72,13 +74,13 @@ def half_way(browser: Browser) -> bool:
     return bool(found) and 2 * int(found.group(1)) > int(found.group(2))
 
 
-def photograph(browser: Browser, folder: Path) -> None:
-    """Save the page wide and narrow."""
+def photograph(browser: Browser, stem: Path, screens: float = 1.0) -> None:
+    """Save the page wide and narrow, so many screens of it."""
     for width, height, mobile in ((1280, 900, False), (390, 844, True)):
-        browser.resize(width, height, mobile, scale=1.0 if width > 500 else 2.0)
+        browser.resize(width, round(screens * height), mobile, scale=2.0 if mobile else 1.0)
         browser.run('new Promise((done) => setTimeout(done, 700))')  # until it is drawn anew
-        file = folder / f'dashboard_{width}.png'
-        browser.screenshot(file, whole=width > 500)
+        file = stem.with_name(f'{stem.name}_{width}.png')
+        browser.screenshot(file, whole=False)
         print(f'wrote {file}')
 
 
@@ -88,6 +90,9 @@ def main() -> int:
     if find_browser() is None:
         print('no Chromium on this machine (Debian: apt install chromium)', file=sys.stderr)
         return 3
+    if not (options.report / 'index.html').is_file():
+        print(f'no report in {options.report}; run `make demo` first', file=sys.stderr)
+        return 2
     options.output.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as name:
         folder, domain = Path(name), options.domain
@@ -105,7 +110,9 @@ def main() -> int:
             if trial.poll() is not None:
                 print((folder / 'trial.log').read_text(), file=sys.stderr)
                 return 1
-            photograph(browser, options.output)
+            photograph(browser, options.output / 'dashboard')
+            browser.open((options.report / 'index.html').resolve().as_uri())
+            photograph(browser, options.output / 'report', screens=1.6)
         finally:
             browser.close()
             for process in filter(None, (trial, nodes)):

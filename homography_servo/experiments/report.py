@@ -15,6 +15,14 @@ TRUE_ERRORS = (
     ('sideways', 'lateral_m', 1e3, 'mm'), ('in depth', 'depth_m', 1e3, 'mm'),
     ('about the optical axis', 'gamma_rad', 180.0 / np.pi, 'deg'),
     ('in tilt', 'tilt_rad', 180.0 / np.pi, 'deg'))
+# Keys of the verdict's diagnostics: heading, factor, digits after the point (-1: as it is).
+VERDICT_COLUMNS = {
+    'border_px': ('border [px]', 1.0, 0), 'facing_deg': ('facing [deg]', 1.0, 1),
+    'ambiguity': ('ambiguity', 1.0, 2), 'reached': ('reached', 1.0, -1),
+    'nearest_limit': ('nearest limit', 1.0, -1),
+    'joint_margin_rad': ('margin to it [deg]', 180.0 / np.pi, 1),
+    'conditioning': ('smallest singular value', 1.0, 3), 'led': ('joints lead', 1.0, -1),
+    'joint_step_rad': ('largest joint step [deg]', 180.0 / np.pi, 1)}
 STYLE = """
 :root { color-scheme: light; --ink: #1d2430; --soft: #5c6675; --line: #e0e4ea; }
 * { box-sizing: border-box; }
@@ -24,16 +32,18 @@ h1 { font-size: 1.6rem; margin: 0 0 .3rem; } h2 { font-size: 1.15rem; margin: 2.
 .verdict { border-left: 6px solid; padding: .7rem 1rem; border-radius: 4px; margin: 1rem 0; }
 .good { border-color: #2e933c; background: #edf7ee; }
 .bad { border-color: #d1495b; background: #fdeef0; }
-.cards { display: grid; grid-template-columns: repeat(auto-fit, minmax(145px, 1fr)); gap: 12px; }
+.cards { display: grid; grid-template-columns: repeat(auto-fit, minmax(130px, 1fr)); gap: 10px; }
 .card { border: 1px solid var(--line); border-radius: 8px; padding: .6rem .8rem; }
 .card b { display: block; font-size: 1.25rem; } .card span, figcaption { color: var(--soft);
           font-size: .87rem; }
 figure { margin: 0; } img { max-width: 100%; height: auto; display: block; margin: 0 auto; }
 .scroll { overflow-x: auto; } table { border-collapse: collapse; width: 100%; font-size: .87rem;
           font-variant-numeric: tabular-nums; }
-th, td { text-align: right; padding: .25rem .6rem; border-bottom: 1px solid var(--line);
-         white-space: nowrap; } th:first-child, td:first-child { text-align: left; }
-td.text { text-align: left; white-space: normal; min-width: 12rem; }
+th, td { text-align: right; padding: .25rem .5rem; border-bottom: 1px solid var(--line);
+         white-space: nowrap; } th { white-space: normal; vertical-align: bottom; }
+th:first-child, td:first-child { text-align: left; position: sticky; left: 0;
+                                 background: #fff; }
+.text { text-align: left; white-space: normal; min-width: 12rem; }
 """
 
 
@@ -72,21 +82,37 @@ def _figures(trial: TrialData, folder: Path, camera: Camera | None) -> list[tupl
     from homography_servo.experiments import trial_figures as draw  # matplotlib is slow to load
     made = []
     if camera is not None:
-        draw.paths_figure(trial, camera, folder / 'figure_2_paths.png')
-        made.append(('figure_2_paths.png', 'The object on its path',
-                     'Four poses of the path. Left as planned, right what the camera saw when the '
-                     'pose was reached, with the measured contour.'))
+        for name, narrow in _both('figure_2_paths'):
+            draw.paths_figure(trial, camera, folder / name, narrow)
+        made.append(('figure_2_paths', 'The object on its path',
+                     'Four poses of the path: as planned, and what the camera saw when the pose '
+                     'was reached, with the measured contour.'))
     if trial.poses:
-        draw.joints_figure(trial, folder / 'figure_3_joints.png')
-        made.append(('figure_3_joints.png', 'Joint positions against k',
-                     'Grey: planned with the exact model. Dots: where the arm stood when pose k '
-                     'was reached. The path is a chord in space, so other joints than the first '
-                     'move in between and come back.'))
+        for name, narrow in _both('figure_3_joints'):
+            draw.joints_figure(trial, folder / name, narrow)
+        made.append(('figure_3_joints', 'Joint positions against k',
+                     'Grey: planned. Dots: where the arm stood when pose k was reached. The path '
+                     'is a chord in space, so other joints than the first move in between and '
+                     'come back.'))
     if trial.errors:
-        draw.errors_figure(trial, folder / 'figure_4_errors.png')
-        made.append(('figure_4_errors.png', 'Distance to the pose aimed at',
+        for name, narrow in _both('figure_4_errors'):
+            draw.errors_figure(trial, folder / name, narrow)
+        made.append(('figure_4_errors', 'Distance to the pose aimed at',
                      'At each look. It rises when the next pose becomes the aim.'))
     return made
+
+
+def _both(stem: str) -> tuple[tuple[str, bool], tuple[str, bool]]:
+    """Name the wide and the narrow drawing of a figure."""
+    return (f'{stem}.png', False), (f'{stem}_narrow.png', True)
+
+
+def _figure(stem: str, title: str, caption: str) -> str:
+    (wide, _), (narrow, _) = _both(stem)
+    return (f'<h2>{escape(title)}</h2><figure><picture>'
+            f'<source media="(max-width: 600px)" srcset="{narrow}">'
+            f'<img src="{wide}" alt="{escape(title)}"></picture>'
+            f'<figcaption>{escape(caption)}</figcaption></figure>')
 
 
 def _cards(rows: Sequence[tuple[str, str]]) -> str:
@@ -96,7 +122,8 @@ def _cards(rows: Sequence[tuple[str, str]]) -> str:
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]], text: Sequence[int] = ()) -> str:
-    cells = ''.join(f'<th>{escape(item)}</th>' for item in head)
+    cells = ''.join(f'<th{" class=text" if i in text else ""}>{escape(item)}</th>'
+                    for i, item in enumerate(head))
     body = ''.join('<tr>' + ''.join(
         f'<td{" class=text" if i in text else ""}>{escape(str(item))}</td>'
         for i, item in enumerate(row)) + '</tr>' for row in rows)
@@ -132,19 +159,37 @@ def _verdict_table(trial: TrialData) -> str:
         return ''
     keys = list(dict.fromkeys(key for row in rows[1:] for key in row))
     keys = [key for key in keys if key not in ('name', 'message', 'level')]
-    table = [[row['name'].rpartition(': ')[2], *(row.get(key, '') for key in keys),
-              row['message']] for row in rows[1:]]
+    table = [[row['name'].rpartition(': ')[2],
+              *(shown_value(key, row.get(key, '')) for key in keys), row['message']]
+             for row in rows[1:]]
     return ('<h2>Verdict before the motion</h2>'
-            f'<p>{escape(rows[0]["message"])}</p>'
-            + _table(['pose', *(key.replace('_', ' ') for key in keys), 'verdict'], table,
+            f'<p>{escape(_sentence(rows[0]["message"]))}</p>'
+            + _table(['pose', *(_heading(key) for key in keys), 'verdict'], table,
                      text=(len(keys) + 1,)))
+
+
+def _sentence(text: str) -> str:
+    return f'{text[:1].upper()}{text[1:].rstrip(".")}.'
+
+
+def _heading(key: str) -> str:
+    return VERDICT_COLUMNS[key][0] if key in VERDICT_COLUMNS else key.replace('_', ' ')
+
+
+def shown_value(key: str, value: str) -> str:
+    """Write a value of the verdict as a person reads it: few digits, degrees, yes or no."""
+    if value in ('True', 'False'):
+        return 'yes' if value == 'True' else 'no'
+    _, scale, digits = VERDICT_COLUMNS.get(key, ('', 1.0, -1))
+    try:
+        return f'{scale * float(value):.{digits}f}' if digits >= 0 else value
+    except ValueError:
+        return value
 
 
 def _page(trial: TrialData, figures: Sequence[tuple[str, str, str]]) -> str:
     kind = 'good' if trial.converged else 'bad'
-    shown = ''.join(f'<h2>{escape(title)}</h2><figure><img src="{file}" alt="{escape(title)}">'
-                    f'<figcaption>{escape(caption)}</figcaption></figure>'
-                    for file, title, caption in figures)
+    shown = ''.join(_figure(*figure) for figure in figures)
     joints = [f'{name} [deg]' for name in trial.joint_names]
     table = _table(['k', 'looks', 'position error [mm]', 'rotation error [deg]', *joints],
                    pose_rows(trial))

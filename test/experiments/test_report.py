@@ -1,8 +1,10 @@
 """The report says what happened, whatever happened."""
 
 import json
+import re
 
 from homography_servo.experiments.report import print_summary
+from homography_servo.experiments.report import shown_value
 from homography_servo.experiments.report import summary
 from homography_servo.experiments.report import write_report
 from homography_servo.experiments.trial_data import face_seen_at
@@ -39,13 +41,19 @@ def made_trial(count: int = 31) -> TrialData:
                      20.0, 12.0, 62, [(0.0, 'MOVING')])
 
 
+def named(page: str) -> set[str]:
+    """List the pictures that a page asks for."""
+    return set(re.findall('src(?:set)?="([^"]*)"', page))
+
+
 def test_the_page_shows_numbers_and_every_figure_it_names(tmp_path):
     page = write_report(made_trial(), tmp_path, CAMERA).read_text()
     figures = sorted(path.name for path in tmp_path.glob('*.png'))
-    assert figures == ['figure_2_paths.png', 'figure_3_joints.png', 'figure_4_errors.png']
-    assert all(f'src="{name}"' in page for name in figures)
+    stems = ['figure_2_paths', 'figure_3_joints', 'figure_4_errors']
+    assert figures == sorted(f'{stem}{end}.png' for stem in stems for end in ('', '_narrow'))
+    assert named(page) == set(figures)
     assert 'converged' in page and '0.50 mm' in page and '31 of 31' in page
-    assert 'good &lt;all&gt;' in page
+    assert 'Good &lt;all&gt;.' in page
 
 
 def test_the_numbers_are_json_that_others_can_read(tmp_path):
@@ -67,8 +75,7 @@ def test_an_incomplete_trial_has_a_report_too(trial, tmp_path, capsys):
     print_summary(trial, tmp_path)
     assert f'did not converge: {trial.verdict}' in page
     assert capsys.readouterr().out.strip().splitlines()[-1] == summary(trial)
-    left = {path.name for path in tmp_path.glob('*.png')}
-    assert left == {name for name in left if f'src="{name}"' in page}
+    assert {path.name for path in tmp_path.glob('*.png')} == named(page)
 
 
 def test_colour_images_and_short_paths_can_be_drawn(tmp_path):
@@ -101,3 +108,11 @@ def test_points_of_the_face_are_found_where_they_are_seen():
     pose[:3, 3] = [0.1, 0.02, -0.1]
     seen = CAMERA.project(points_m @ pose[:3, :3].T + pose[:3, 3] + (0.0, 0.0, 0.8))
     assert face_seen_at(pose, CAMERA.rays(seen), 0.8) == pytest.approx(points_m, abs=1e-12)
+
+
+@pytest.mark.parametrize('key, value, shown', [
+    ('border_px', '61.6709', '62'), ('ambiguity', '7.87549e-10', '0.00'), ('led', 'False', 'no'),
+    ('joint_margin_rad', '0.523599', '30.0'), ('nearest_limit', 'joint2', 'joint2'),
+    ('joint_margin_rad', 'unknown', 'unknown'), ('m_px', '50', '50'), ('border_px', '', '')])
+def test_values_of_the_verdict_are_written_for_people(key, value, shown):
+    assert shown_value(key, value) == shown
