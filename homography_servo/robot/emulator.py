@@ -200,7 +200,7 @@ class Emulator:
         self._log = Log(log)
         self._clock = clock
         self._start_s = clock()
-        self._stop = threading.Event()
+        self._ended = False  # not an Event: setting one in a signal handler can lock up
         self._thread: threading.Thread | None = None
         self._plugged = True
 
@@ -211,7 +211,7 @@ class Emulator:
 
     def end(self) -> None:
         """Make `run` return soon; may be called from a signal handler."""
-        self._stop.set()
+        self._ended = True
 
     def stop(self) -> None:
         """End the thread and the port."""
@@ -222,7 +222,7 @@ class Emulator:
     def run(self) -> None:
         """Serve until `end`."""
         try:
-            while not self._stop.is_set():
+            while not self._ended:
                 self.turn()
         finally:
             self._log.close()
@@ -252,7 +252,7 @@ class Emulator:
     def _wait(self, time_s: float) -> None:
         handle = self.port.fileno()
         if handle is None or self.line.active('stall', self._clock() - self._start_s):
-            self._stop.wait(min(time_s, 0.005))
+            time.sleep(min(time_s, 0.005))
         else:
             select.select([handle], [], [], time_s)
 
@@ -282,7 +282,7 @@ class Emulator:
         try:
             return self.port.read()
         except (OSError, LinkError):
-            self._stop.wait(REOPEN_S)
+            time.sleep(REOPEN_S)
             return b''
 
     def _write(self, data: bytes) -> None:
