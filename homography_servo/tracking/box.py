@@ -7,12 +7,12 @@ from typing import NamedTuple
 from homography_servo.geometry.face import face_corners
 from homography_servo.result import Rejected
 from homography_servo.tracking.edges import Edges
-from homography_servo.tracking.edges import middle
 from homography_servo.tracking.face_pose import FacePose
 from homography_servo.tracking.face_pose import next_pose
 from homography_servo.tracking.face_pose import pose_of_face
 from homography_servo.tracking.face_pose import project
 from homography_servo.tracking.face_pose import projection_jacobian
+from homography_servo.tracking.levels import middle
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.scan import side_geometry
 from homography_servo.tracking.snake import Prior
@@ -109,13 +109,12 @@ class BoxSides:
                                                       pose.translation)
         pose_from_corners = np.linalg.pinv(slopes[:4].reshape(8, 6))
         geometry = side_geometry(corners)
-        normal = np.column_stack([geometry.normal_u, geometry.normal_v])
         behind, lag = back - corners, slopes[4:] - slopes[:4]
         ends = np.stack([np.arange(4), np.array([1, 2, 3, 0])], axis=1)
-        width = -np.einsum('ik,ijk->ij', normal, behind[ends])
+        width = -np.einsum('ki,ijk->ij', geometry.normal, behind[ends])
         drift = np.einsum('ik,ijk->ij', geometry.edge, behind[ends])
         reach = drift / geometry.length[:, None] ** 2 + (0.0, 1.0)
-        rows = -np.einsum('ik,ijkp->ijp', normal, lag[ends]) @ pose_from_corners
+        rows = -np.einsum('ki,ijkp->ijp', geometry.normal, lag[ends]) @ pose_from_corners
         bend = np.eye(8) - slopes[:4].reshape(8, 6) @ pose_from_corners
         rigid = Prior(corners - focal * pose.miss, bend / RIGID_SIGMA_PX ** 2)
         return Outline(pose, width, reach, rows, rigid)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from homography_servo.tracking.edges import line_distances
 from homography_servo.tracking.edges import measure_edges
 from homography_servo.tracking.profile import edge_profile
+from homography_servo.tracking.profile import EdgeProfile
+from homography_servo.tracking.profile import PIXEL_SIGMA_PX
 from homography_servo.tracking.scan import Scan
+from homography_servo.tracking.scan import side_geometry
 import numpy as np
 
 LADDER_PX = (0.3, 0.5, 0.8, 1.2, 1.8, 2.6, 3.8)
-STEP = 1.2  # the blur is tried this much smaller and larger
+STEP = 1.2  # the blur changes by this much at most
 GAIN = 0.3
 GRID = 0.02  # blurs are rounded to this [px], so that few profiles are tabulated
 SHARPEST_PX, SOFTEST_PX = 0.2, 5.0
@@ -38,14 +42,49 @@ def refocus(scan: Scan, corners: np.ndarray, good: np.ndarray, blur_px: float) -
     """
     if np.count_nonzero(good) < SEGMENTS_NEEDED:
         return blur_px
-    tried = _rounded(blur_px / STEP), _rounded(blur_px), _rounded(blur_px * STEP)
-    cost = [float(measure_edges(scan, corners, edge_profile(blur)).residual[good].sum())
-            for blur in tried]
-    curvature = cost[0] - 2.0 * cost[1] + cost[2]
-    shift = 0.5 * (cost[0] - cost[2]) / curvature if curvature > 0.0 else np.sign(
-        cost[0] - cost[2])
-    wanted = blur_px * STEP ** float(np.clip(shift, -1.0, 1.0))
-    return float(np.clip(blur_px + GAIN * (wanted - blur_px), SHARPEST_PX, SOFTEST_PX))
+    profile = edge_profile(max(round(blur_px / GRID), 1) * GRID)
+    response, energy = _sharpness(scan, corners, profile)
+    sigma_px = profile.sigma_px
+    wanted = sigma_px + response[good].sum() / max(energy[good].sum(), 1e-9)
+    wanted = min(max(wanted, sigma_px / STEP), sigma_px * STEP)
+    variance = sigma_px ** 2 + GAIN * (wanted ** 2 - sigma_px ** 2) - PIXEL_SIGMA_PX ** 2
+    return min(max(variance, SHARPEST_PX ** 2) ** 0.5, SOFTEST_PX)
+
+
+def _sharpness(scan: Scan, corners: np.ndarray,
+               profile: EdgeProfile) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Ask every segment for the width of its edge, grey levels being unknown.
+
+    Returns
+    -------
+    (s,) array, (s,) array
+        Right-hand side and coefficient of the linear equation for the change of the
+        profile's sigma [px].
+
+    """
+    first, step, _ = line_distances(scan, side_geometry(corners))
+    total, count = scan.grey.shape[1], len(scan.grey)
+    place = profile.places(first[:total], step[:total], count)
+    share = profile.share(place)
+    away = first[:total] + np.arange(count)[:, None] * step[:total]
+    widened = away * profile.slope(place)  # of the share, times -sigma
+    widened[:, scan.near] = 0.0  # the next side is in these
+    pairs = ((share, scan.grey), (share, share), (widened, scan.grey), (widened, share),
+             (widened, widened))
+    table = np.array([share.sum(axis=0), widened.sum(axis=0),
+                      *(np.einsum('ij,ij->j', a, b) for a, b in pairs)])
+    share, widened, share_grey, share2, widened_grey, widened_share, widened2 = \
+        np.add.reduceat(table, scan.layout.first_line, axis=1)
+    one = count * scan.layout.lines
+    inverse = 1.0 / np.maximum(one * share2 - share * share, 1e-6)
+    contrast = (one * share_grey - share * scan.grey_sum) * inverse
+    outside = (scan.grey_sum - contrast * share) / one
+    taken = inverse * (share2 * widened ** 2 - 2.0 * share * widened * widened_share
+                       + one * widened_share ** 2)
+    gain = contrast / profile.sigma_px
+    return (-gain * (widened_grey - outside * widened - contrast * widened_share),
+            gain * gain * np.maximum(widened2 - taken, 0.0))
 
 
 def first_focus(scan: Scan, corners: np.ndarray) -> float:
@@ -57,7 +96,3 @@ def first_focus(scan: Scan, corners: np.ndarray) -> float:
     shift = 0.5 * (cost[best - 1] - cost[best + 1]) / curvature if curvature > 0.0 else 0.0
     step = LADDER_PX[best + 1] / LADDER_PX[best]
     return float(LADDER_PX[best] * step ** float(np.clip(shift, -1.0, 1.0)))
-
-
-def _rounded(blur_px: float) -> float:
-    return max(round(blur_px / GRID), 1) * GRID

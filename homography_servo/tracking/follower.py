@@ -5,11 +5,11 @@ from __future__ import annotations
 from homography_servo.geometry.face import face_corners
 from homography_servo.result import Rejected
 from homography_servo.tracking.box import BoxSides
-from homography_servo.tracking.edges import LevelMemory
 from homography_servo.tracking.face_pose import next_pose
 from homography_servo.tracking.face_pose import pose_of_face
 from homography_servo.tracking.focus import first_focus
 from homography_servo.tracking.focus import refocus
+from homography_servo.tracking.levels import LevelMemory
 from homography_servo.tracking.locate import Locator
 from homography_servo.tracking.motion import both
 from homography_servo.tracking.motion import Motion
@@ -36,10 +36,9 @@ OTHER_SIZE = 0.25  # relative change of size from one picture to the next
 FOCUS_HALF = 8  # pixels around the edges for a first look at the blur
 SETTLED_PX = 0.5  # largest last step of a fit that has found its place
 REFOCUS_EVERY, REFOCUS_FIRST = 10, 10  # pictures
-FIRST_SPREAD_GREY = 1.0  # of grey levels from picture to picture before that is known
 CLEAR_SIDE = 0.9  # share of its lines that makes a side clear
 CHECK_EVERY = 4  # pictures: the shape of a face all of whose sides are clear
-REMEMBER_EVERY, KEY_EVERY = 3, 10
+REMEMBER_EVERY, KEY_EVERY = 5, 12
 CLICK_SIGMA_PX = 1.0  # of corners that a person points at
 TOLD_PX = 4.0  # how far from given corners weak edges may lie
 
@@ -90,7 +89,7 @@ class Follower:
         self._memory: LevelMemory | None = None
 
     def follow(self, image: np.ndarray, stamp_s: float,
-               given: np.ndarray | None) -> SnakeFit | Rejected:
+               given_px: np.ndarray | None) -> SnakeFit | Rejected:
         """
         Find the face near where it must be by now.
 
@@ -100,8 +99,8 @@ class Follower:
             The picture.
         stamp_s : float
             When it was taken.
-        given : (4, 2) array or None
-            Corners that the arm expects, in the plane.
+        given_px : (4, 2) array or None
+            Corners that somebody expects.
 
         Returns
         -------
@@ -115,6 +114,7 @@ class Follower:
             return fit
         why = fit
         located = self._locate(image, prior.corners)
+        given = None if given_px is None else self._plane.from_image(given_px)
         for corners in (located, given):
             if not fit and corners is not None and not self._edges_are_weak:
                 fit = self._near(image, Prior(corners, prior.information), MEDIUM)
@@ -212,9 +212,9 @@ class Follower:
             self._locator.remember(image, self._plane.to_image(fit.corners))
         if not self._texture.known and self._accepted % KEY_EVERY == 1:
             self._texture.remember(image, self._plane.to_image(fit.corners))
-        common = fit.edges.known.common
-        self._memory = LevelMemory(common, np.full_like(common, FIRST_SPREAD_GREY ** 2)) \
-            if self._memory is None else self._memory.updated(common)
+        known = fit.edges.known
+        self._memory = LevelMemory.first(known) if self._memory is None \
+            else self._memory.updated(known)
         if fit.by_print:
             return  # its edges are too weak to learn from
         if self._accepted <= REFOCUS_FIRST or self._accepted % REFOCUS_EVERY == 0:
@@ -260,7 +260,7 @@ class Follower:
             return f'only {quality.inlier_share:.0%} of the lines agree'
         if np.count_nonzero(quality.side_share > SEEN_SIDE) < SIDES_NEEDED:
             return 'fewer than three sides are visible'
-        sigma_px = float(np.sqrt(np.diag(fit.covariance).max()))
+        sigma_px = max(fit.covariance.diagonal().tolist()) ** 0.5
         if fit.moved_px > SETTLED_PX:
             return f'the fit has not settled: it moves by {fit.moved_px:.1f} px'
         if sigma_px > settings.max_corner_sigma_px:
@@ -289,16 +289,16 @@ class Follower:
     def _surprise(self, fit: SnakeFit, prior: Prior) -> str:
         """Compare a fit with what was expected."""
         move = (fit.corners - prior.corners).ravel()
-        basis = similarity_basis(prior.corners)
-        common = basis.T @ move
-        bend_px = float(np.abs(move - basis @ common).max())
+        free = similarity_basis(prior.corners) if prior.free is None else prior.free
+        common = move @ free
+        bend_px = max(np.abs(move - free @ common).tolist())
         if bend_px > self.settings.max_jump_px:
             return f'the shape changed by {bend_px:.1f} px at once'
         if self._motion is None:
             return ''
-        away = prior.corners - prior.corners.mean(axis=0)
-        if abs(common[2]) > OTHER_SIZE * np.sqrt((away * away).sum()):
+        right, down, larger, _ = common.tolist()
+        if abs(larger) > OTHER_SIZE * abs(float(free[:, 2] @ prior.corners.ravel())):
             return 'the size changed at once'
-        if np.abs(common[:2]).max() > 2.0 * self.settings.search_px:
+        if max(abs(right), abs(down)) > 2.0 * self.settings.search_px:
             return 'the face jumped'
         return ''

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+import math
+
 from homography_servo.tracking.snake import Prior
 import numpy as np
 
@@ -9,12 +12,14 @@ FREE_SIGMA_PX = 1e3  # common shift, turn and scale are left to the picture
 LARGEST_PAUSE_S = 1.0
 FIRST_SURPRISE_PX, LEAST_SURPRISE_PX = 0.5, 0.1  # RMS change of shape beyond the prediction
 FORGET = 0.1
+USUAL_CHANGES = 3.0  # a change is expected to be at most so many times the earlier ones
+LEAST_REPEATED = -0.5  # of a change that is noise, this much is undone
 SURPRISES = 3.0  # standard deviation of the prior over the usual surprise
 
 
 class Motion:
     """
-    Constant velocity of every corner.
+    Constant velocity of every corner, and as much of its change as has come true before.
 
     The prior it gives leaves the common shift, turn and scale of the face to the
     measurement and holds the rest of its shape softly, so that a corner or a side
@@ -24,9 +29,12 @@ class Motion:
     def __init__(self) -> None:
         self.corners: np.ndarray | None = None
         self._velocity: np.ndarray | None = None
+        self._change: np.ndarray | None = None  # of the velocity, from picture to picture
+        self._repeated = self._changed = 0.0  # how much of it came again, and of how much
         self._stamp_s = 0.0
         self._period_s = 1.0 / 30.0
-        self._expected: np.ndarray | None = None
+        self._steady: np.ndarray | None = None  # where constant velocity leads
+        self._prior: Prior | None = None
         self._surprise_px = FIRST_SURPRISE_PX
 
     def period(self, stamp_s: float) -> float:
@@ -36,40 +44,61 @@ class Motion:
 
     def measured(self, corners: np.ndarray, stamp_s: float) -> None:
         """Take in a trusted measurement."""
-        if self._expected is not None:
+        if self._prior is not None:
             self._learn(corners)
         if self.corners is not None:
             self._period_s = self.period(stamp_s)
-            self._velocity = (corners - self.corners) / self._period_s
+            velocity = (corners - self.corners) / self._period_s
+            self._change = None if self._velocity is None else velocity - self._velocity
+            self._velocity = velocity
         self.corners, self._stamp_s = corners, stamp_s
 
     def predict(self, stamp_s: float) -> Prior:
         """Give the corners expected at a time, and their prior."""
         if self.corners is None:
             raise ValueError('nothing has been measured yet')
-        moved = np.zeros_like(self.corners)
+        expected = self.corners
         if self._velocity is not None:
-            moved = self._velocity * self.period(stamp_s)
-        self._expected = self.corners + moved
-        return shape_prior(self._expected, SURPRISES * self._surprise_px)
+            expected = self._steady = expected + self._velocity * self.period(stamp_s)
+        if self._change is not None and self._changed > 0.0:
+            change = self.period(stamp_s) * self._change
+            # A jump is a change that nobody has seen before: it will not come again.
+            usual = USUAL_CHANGES * math.sqrt(self._changed / max(float((change * change).sum()),
+                                                                  1e-12))
+            share = min(max(self._repeated / self._changed, LEAST_REPEATED), 1.0)
+            expected = expected + share * min(usual, 1.0) * change
+        self._prior = shape_prior(expected, SURPRISES * self._surprise_px)
+        return self._prior
 
     def _learn(self, corners: np.ndarray) -> None:
         """Learn how well the shape is predicted; large surprises count at once."""
-        miss = (corners - self._expected).ravel()
-        free = similarity_basis(self._expected)
-        bend_px = float(np.sqrt(np.mean((miss - free @ (free.T @ miss)) ** 2)))
+        miss = (corners - self._prior.corners).ravel()
+        free = self._prior.free
+        bend = miss - free @ (free.T @ miss)
+        bend_px = (float(bend @ bend) / len(bend)) ** 0.5
         share = 1.0 if bend_px > self._surprise_px else FORGET
         self._surprise_px = max(self._surprise_px + share * (bend_px - self._surprise_px),
                                 LEAST_SURPRISE_PX)
-        self._expected = None
+        if self._change is not None:
+            expected = (self._change * self._period_s).ravel()
+            new = (corners - self._steady).ravel()
+            self._repeated += FORGET * (float(expected @ new) - self._repeated)
+            self._changed += FORGET * (float(expected @ expected) - self._changed)
+        self._prior = None
 
 
 def shape_prior(corners: np.ndarray, shape_sigma_px: float) -> Prior:
     """Hold the shape of a polygon but not its place, direction and size."""
     free = similarity_basis(corners)
     # The inverse of shape_sigma^2 I + FREE_SIGMA^2 free free^T, free being orthonormal.
+    weight = 1.0 / (shape_sigma_px * shape_sigma_px)
     ratio = FREE_SIGMA_PX ** 2 / (FREE_SIGMA_PX ** 2 + shape_sigma_px ** 2)
-    return Prior(corners, (np.eye(corners.size) - ratio * (free @ free.T)) / shape_sigma_px ** 2)
+    return Prior(corners, weight * (_unit(corners.size) - ratio * (free @ free.T)), free)
+
+
+@lru_cache(maxsize=8)
+def _unit(size: int) -> np.ndarray:
+    return np.eye(size)
 
 
 def both(first: Prior, second: Prior) -> Prior:
@@ -77,17 +106,25 @@ def both(first: Prior, second: Prior) -> Prior:
     information = first.information + second.information
     pull = first.information @ first.corners.ravel() \
         + second.information @ second.corners.ravel()
-    return Prior(np.linalg.solve(information, pull).reshape(first.corners.shape), information)
+    return Prior(np.linalg.solve(information, pull).reshape(first.corners.shape), information,
+                 first.free)
 
 
 def similarity_basis(corners: np.ndarray) -> np.ndarray:
     """Give orthonormal columns (2m, 4) of common shift, turn and scale."""
-    count = len(corners)
-    away = corners - corners.sum(axis=0) / count
-    flat = away.ravel()
-    away = away / (flat @ flat) ** 0.5
+    away = corners - np.add.reduce(corners, axis=0) / len(corners)
+    flat = away.reshape(-1)
+    flat *= 1.0 / math.sqrt(flat @ flat)
+    basis = _shifts(len(corners)).copy()
+    basis[:, 2] = flat
+    basis[1::2, 3] = away[:, 0]
+    np.negative(away[:, 1], out=basis[::2, 3])
+    return basis
+
+
+@lru_cache(maxsize=8)
+def _shifts(count: int) -> np.ndarray:
+    """Give orthonormal columns of the common shift, and two more for turn and scale."""
     basis = np.zeros((count, 2, 4))
     basis[:, 0, 0] = basis[:, 1, 1] = count ** -0.5
-    basis[:, :, 2] = away
-    basis[:, 0, 3], basis[:, 1, 3] = -away[:, 1], away[:, 0]
-    return basis.reshape(corners.size, 4)
+    return basis.reshape(2 * count, 4)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import ndtr
 
 PIXEL_SIGMA_PX = 12.0 ** -0.5  # a square pixel blurs an edge of any direction by this much
-STEPS_PER_PX = 64
+STEPS_PER_PX = 128
 REACH_PX = 24.0
 
 
@@ -49,12 +49,12 @@ class EdgeProfile:
 
         Returns
         -------
-        (count, n) int32 array
+        (count, n) integer array
 
         """
-        place = np.multiply.outer(_counted(count), (step_px * STEPS_PER_PX).astype(np.float32))
-        place += (first_px * STEPS_PER_PX + (REACH_PX * STEPS_PER_PX + 0.5)).astype(np.float32)
-        return place.astype(np.int32)
+        place = np.multiply.outer(_counted(count), (STEPS_PER_PX * step_px).astype(np.float32))
+        place += (STEPS_PER_PX * first_px + (REACH_PX * STEPS_PER_PX + 0.5)).astype(np.float32)
+        return place.astype(np.intp)
 
     def share(self, place: np.ndarray) -> np.ndarray:
         """Look up the share of the pixel inside the edge."""

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+import math
 from typing import NamedTuple
 
 import cv2
 from homography_servo.result import Rejected
 from homography_servo.tracking.edges import Edges
-from homography_servo.tracking.edges import LevelMemory
 from homography_servo.tracking.edges import measure_edges
-from homography_servo.tracking.edges import middle
+from homography_servo.tracking.levels import LevelMemory
+from homography_servo.tracking.levels import middle
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.profile import edge_profile
 from homography_servo.tracking.scan import read_scan
@@ -33,6 +35,7 @@ class Prior(NamedTuple):
 
     corners: np.ndarray  # (m, 2) [px]
     information: np.ndarray  # (2m, 2m) [1/px^2]
+    free: np.ndarray | None = None  # (2m, 4) orthonormal columns that are left free
 
 
 class Look(NamedTuple):
@@ -43,7 +46,7 @@ class Look(NamedTuple):
     stride: int = 1  # distance of the scan lines [px]
     lines: int = 6  # scan lines per segment
     iterations: int = 5  # linear steps at most
-    done_sigmas: float = 6.0  # a step smaller than so many corner sigmas is the last one
+    done_sigmas: float = 15.0  # a step smaller than so many corner sigmas is the last one
     sure_px: float = 0.15  # scatter between segments that is not surprising
     first_sure_px: float = 0.6  # the same in the first round
     least: int = 8  # segments that must show an edge
@@ -126,7 +129,7 @@ def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = I
         corners, far_px = fit.corners, far_px + fit.moved_px
         steady = abs(edges.common) < SAME_LEVELS_PX and fit.moved_px < MOST_DONE_PX
         known = edges.known if steady else None
-        sigma_px = (np.trace(fit.covariance) / corners.size) ** 0.5
+        sigma_px = math.sqrt(sum(fit.covariance.diagonal().tolist()) / corners.size)
         if fit.moved_px < min(look.done_sigmas * sigma_px, MOST_DONE_PX):
             break
         if strips is not None:
@@ -162,29 +165,30 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
 
     """
     rows, inward = polygon_rows(edges, len(corners)), edges.inward
-    excess = _excess(edges)
-    variance = edges.variance * excess + MODEL_ERROR_PX ** 2
+    variance = edges.variance * _excess(edges)
+    variance += MODEL_ERROR_PX ** 2
     if edges.second is not None:
-        variance = variance + strips.doubt(edges.side, edges.along)
+        variance += strips.doubt(edges.side, edges.along)
     precision = usable / variance
     held, pull = _held(prior, corners)
     miss = inward
     if first and look.first_sure_px > NARROW_PX:  # the mean of a side would follow outliers
         miss = inward - _side_middles(inward, edges.side, usable, len(corners))
     for sure_px in (look.first_sure_px if first else look.sure_px, look.sure_px):
-        weight = np.maximum(
-            1.0 - miss * miss / (ROBUST_SIGMAS ** 2 * (variance + sure_px * sure_px)), 0.0)
+        spread = variance + sure_px * sure_px
+        weight = 1.0 - miss * miss / (ROBUST_SIGMAS ** 2 * spread)
+        np.maximum(weight, 0.0, out=weight)
         weight *= weight
-        weighted = (rows * (precision * weight)[:, None]).T
-        information, target = weighted @ rows + held, weighted @ inward + pull
+        weighted = rows * (precision * weight)
+        information, target = weighted @ rows.T + held, weighted @ inward + pull
         if edges.second is not None:
             _add_widths(information, target, edges, strips, rows,
                         weight * precision * edges.variance)
         covariance = cv2.invert(information, flags=cv2.DECOMP_CHOLESKY)[1]
         shift = covariance @ target
-        miss = inward - rows @ shift
+        miss = inward - shift @ rows
     return SnakeFit(corners + shift.reshape(corners.shape), covariance, edges, weight * usable,
-                    miss, shift, float(np.abs(shift).max()))
+                    miss, shift, float(np.maximum.reduce(np.abs(shift))))
 
 
 def _excess(edges: Edges) -> np.ndarray:
@@ -195,18 +199,22 @@ def _excess(edges: Edges) -> np.ndarray:
     something else in it, which shifts the edge by more than its noise tells.
     """
     ratio = edges.residual / noise_of(edges)
-    return np.where(ratio < 1.0, 1.0 / ratio, np.maximum(ratio / ODD_RESIDUAL, 1.0) ** ODD_POWER)
+    return np.maximum(np.maximum(1.0 / ratio, 1.0), (ratio / ODD_RESIDUAL) ** ODD_POWER)
 
 
 def polygon_rows(edges: Edges, corner_count: int) -> np.ndarray:
-    """Say how each segment's inward offset follows from moves of the corners: (s, 2 m)."""
-    rows = np.zeros((len(edges.side), 2 * corner_count))
-    place = np.arange(0, rows.size, rows.shape[1]) + 2 * edges.side
-    after = place + np.where(edges.side == corner_count - 1, 2 - 2 * corner_count, 2)
-    flat, before = rows.reshape(-1), 1.0 - edges.along
-    flat[place], flat[place + 1] = edges.normal_u * before, edges.normal_v * before
-    flat[after], flat[after + 1] = edges.normal_u * edges.along, edges.normal_v * edges.along
-    return rows
+    """Say how each segment's inward offset follows from moves of the corners: (2 m, s)."""
+    own, change = _ends(corner_count)
+    share = own.take(edges.side, axis=1)  # of each corner in a segment's place
+    share += change.take(edges.side, axis=1) * edges.along
+    return (share[:, None] * edges.normal).reshape(2 * corner_count, -1)
+
+
+@lru_cache(maxsize=8)
+def _ends(corner_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Give the share of each corner in the start of each side, and its change to the end."""
+    start = np.eye(corner_count)
+    return start, np.roll(start, 1, axis=0) - start
 
 
 def _add_widths(information: np.ndarray, target: np.ndarray, edges: Edges, strips: Strips,
@@ -215,7 +223,7 @@ def _add_widths(information: np.ndarray, target: np.ndarray, edges: Edges, strip
     second = edges.second
     own = strips.rows_at(edges.side[second.segment], edges.along[second.segment])
     weight = weight[second.segment]
-    mixed = rows[second.segment].T @ (own * (weight * second.mixed)[:, None])
+    mixed = rows[:, second.segment] @ (own * (weight * second.mixed)[:, None])
     information += mixed + mixed.T + own.T @ (own * (weight * second.own)[:, None])
     target += own.T @ (weight * second.pull)
 
@@ -251,16 +259,15 @@ def quality_of(fit: SnakeFit) -> Quality:
     """Summarise the support of a fit."""
     edges, count = fit.edges, len(fit.corners)
     inlier = fit.weight > INLIER_WEIGHT
-    counted = edges.lines * inlier
     total = np.maximum(np.bincount(edges.side, edges.lines, count), 1.0)
-    supported = np.bincount(edges.side, counted, count)
-    noise = noise_of(edges) ** 0.5
-    if not inlier.any():
+    supported = np.bincount(edges.side, edges.lines * inlier, count)
+    noise, chosen = math.sqrt(noise_of(edges)), inlier.nonzero()[0]
+    if not len(chosen):
         return Quality(0.0, supported / total, 0.0, np.inf, noise, 0.0)
-    contrast, miss = edges.contrast[inlier], fit.miss[inlier]
-    return Quality(float(supported.sum() / total.sum()), supported / total, middle(contrast),
-                   float(miss @ miss / len(miss)) ** 0.5, noise,
-                   middle(edges.outside[inlier] + contrast))
+    contrast, miss = edges.contrast.take(chosen), fit.miss.take(chosen)
+    return Quality(float(np.add.reduce(supported) / np.add.reduce(total)), supported / total,
+                   middle(contrast), math.sqrt(float(miss @ miss) / len(miss)), noise,
+                   middle(edges.outside.take(chosen) + contrast))
 
 
 def sound(corners: np.ndarray) -> bool:

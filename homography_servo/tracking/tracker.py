@@ -53,20 +53,19 @@ class Tracker:
         Lens; None assumes one that does not bend.
     box_height_m : float
         How far the box reaches behind the face. Needs a camera to be of use.
-    home_depth_m : float
-        Not needed for tracking; kept with the description of the object.
 
     """
 
     def __init__(self, face_size_m: tuple[float, float],
                  settings: TrackerSettings = TrackerSettings(), camera: Camera | None = None,
-                 box_height_m: float = 0.0, home_depth_m: float = 1.0) -> None:
+                 box_height_m: float = 0.0) -> None:
         if len(face_size_m) != 2 or not (min(face_size_m) > 0.0 and box_height_m >= 0.0):
             raise ValueError('the face must have a size > 0 m and the box a height >= 0 m, '
                              f'got {face_size_m} and {box_height_m}')
         self.face_size_m = (float(face_size_m[0]), float(face_size_m[1]))
-        self.box_height_m, self.home_depth_m = box_height_m, home_depth_m
+        self.box_height_m = box_height_m
         self._settings, self._plane = settings, Plane(camera)
+        self._first_px = _first_place(settings)
         self._spline = ClosedSpline()
         self.reset()
 
@@ -78,6 +77,7 @@ class Tracker:
     @settings.setter
     def settings(self, settings: TrackerSettings) -> None:
         self._settings = self._follower.settings = settings
+        self._first_px = _first_place(settings)
 
     @property
     def camera(self) -> Camera | None:
@@ -133,10 +133,10 @@ class Tracker:
 
         """
         image = self._checked(grey)
-        given = self._given(predicted_corners_px)
+        given_px = self._given(predicted_corners_px)
         if not self._follower.following:
-            return self._search(image, stamp_s, given)
-        fit = self._follower.follow(image, stamp_s, given)
+            return self._search(image, stamp_s, given_px)
+        fit = self._follower.follow(image, stamp_s, given_px)
         if isinstance(fit, Rejected):
             return self._missing(fit, stamp_s)
         return self._seen(image, fit, stamp_s)
@@ -152,33 +152,26 @@ class Tracker:
         return np.ascontiguousarray(grey)
 
     def _given(self, predicted_px: np.ndarray | None) -> np.ndarray | None:
-        """Give the corners that somebody expects, in the plane of straight edges."""
+        """Give the corners that somebody expects."""
         if predicted_px is not None:
             predicted_px = np.asarray(predicted_px, float)
             if predicted_px.shape != (4, 2):
                 raise ValueError(f'expected (4, 2) corners, got {predicted_px.shape}')
             if np.isfinite(predicted_px).all():
-                return self._plane.from_image(predicted_px)
-        if not self._was_lost:
-            return self._first_place()
-        return None
+                return predicted_px
+        return None if self._was_lost else self._first_px
 
-    def _first_place(self) -> np.ndarray | None:
-        """Give the corners of the settings, where the face may come back after a loss."""
-        if not self._settings.initial_corners_px:
-            return None
-        return self._plane.from_image(np.reshape(self._settings.initial_corners_px, (4, 2)))
-
-    def _search(self, image: np.ndarray, stamp_s: float, given: np.ndarray | None) -> Track:
+    def _search(self, image: np.ndarray, stamp_s: float,
+                given_px: np.ndarray | None) -> Track:
         fit: SnakeFit | Rejected = Rejected('nobody says where the face is')
-        last = None if self._last_px is None else self._plane.from_image(self._last_px)
-        first = self._first_place()
-        for near in (given, last, first):
+        given, last, first = (None if corners_px is None else self._plane.from_image(corners_px)
+                              for corners_px in (given_px, self._last_px, self._first_px))
+        is_told = given is not None and not self._was_lost
+        for near, told in ((given, is_told), (last, False), (first, True)):
             if near is not None and not fit:
-                told = near is first or (near is given and not self._was_lost)
                 fit = self._follower.capture(image, shape_prior(near, GIVEN_SHAPE_SIGMA_PX),
                                              told=told)
-        told = bool(fit) and given is not None and not self._was_lost
+        told = bool(fit) and is_told
         if not fit and self._settings.find_face:
             found = find_face(image, self._target(), self._plane,
                               last if given is None else given)
@@ -225,3 +218,10 @@ class Tracker:
             self._state, self._was_lost = LOST, True
         self._follower.forget()
         self._confirmed = 0
+
+
+def _first_place(settings: TrackerSettings) -> np.ndarray | None:
+    """Give the corners of the settings, where the face may come back after a loss."""
+    if not settings.initial_corners_px:
+        return None
+    return np.reshape(settings.initial_corners_px, (4, 2))

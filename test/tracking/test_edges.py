@@ -68,7 +68,7 @@ def test_distances_are_zero_on_the_sides_and_positive_inside():
     geometry = side_geometry(SHAPE)
     to_centre = -geometry.level
     assert (to_centre > 0.0).all()
-    on_side = geometry.normal_u * SHAPE[:, 0] + geometry.normal_v * SHAPE[:, 1]
+    on_side = (geometry.normal.T * SHAPE).sum(axis=1)
     assert on_side == pytest.approx(geometry.level)
 
 
@@ -79,7 +79,7 @@ def test_a_shifted_expectation_is_measured_as_that_shift(shift):
     image, moved = picture(corners, rng, noise=0.5), corners + shift
     edges = measure_edges(read_scan(image, moved, IDEAL, 4), moved, edge_profile(0.8))
     inner = (edges.along > 0.15) & (edges.along < 0.85)
-    expected = -(edges.normal_u * shift[0] + edges.normal_v * shift[1])
+    expected = -(shift @ edges.normal)
     tolerance = 0.03 + 0.15 * np.abs(expected[inner])
     assert (np.abs(edges.inward - expected)[inner] < tolerance).all()
     assert edges.contrast[inner] == pytest.approx(125.0, abs=12.0)

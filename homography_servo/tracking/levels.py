@@ -1,0 +1,224 @@
+"""
+Grey levels outside and inside of every segment of an edge.
+
+The few pixels across the edge tell them poorly, and an unknown level takes part of
+what a segment tells about its offset. Pixels further away, the other segments and
+earlier pictures pin them down as far as they are alike.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from homography_servo.tracking.scan import FAR_READ
+from homography_servo.tracking.scan import Scan
+import numpy as np
+
+FAR_SIGMAS = 3.0  # far pixels that differ by more than this have another grey level
+FLAT_GREY = 1.0  # and uneven light makes them differ by this much
+MOST_POOLED = 300.0  # pixels that the other segments may stand for
+MEMORY_GAIN = 0.1  # of a picture among earlier ones
+STEADY_GREY = 0.8  # grey levels that change less from picture to picture are remembered
+FIRST_SPREAD_GREY = 1.0  # of grey levels from picture to picture before that is known
+MEDIAN_TO_SIGMA = 1.48
+MEMORY_OF_SPREAD = 0.8  # share of earlier pictures in the spread that counts
+
+
+class Sums(NamedTuple):
+    """Sums over the pixels of each segment."""
+
+    one: np.ndarray
+    grey: np.ndarray
+    share: np.ndarray
+    share_share: np.ndarray
+    share_grey: np.ndarray
+    slope: np.ndarray
+    slope_share: np.ndarray
+    slope_slope: np.ndarray
+    slope_grey: np.ndarray
+    slope_along: np.ndarray
+
+
+class Known(NamedTuple):
+    """Grey levels from other pixels than those across the edge, outside and inside."""
+
+    pixels: np.ndarray  # (2, s) how many they count for
+    grey: np.ndarray  # (2, s) sum of their grey levels
+    far: np.ndarray  # (4, s) the same of far pixels alone
+    common: np.ndarray  # (2, 1) level that most segments share in this picture
+    spread: np.ndarray  # (4, 1) of far and of common levels about the segments' own
+    doubt: float  # how far the common level could give in to an offset of all sides, 0 to 1
+
+
+class Levels(NamedTuple):
+    """Grey levels of each segment, fitted to its pixels and what else is known."""
+
+    outside: np.ndarray  # (s,)
+    contrast: np.ndarray  # (s,) inside minus outside
+    kept: np.ndarray  # (s,) share of the offset's information that is left
+    residual: np.ndarray  # (s,) mean squared deviation of the pixels from the model
+    known: Known
+
+
+class LevelMemory(NamedTuple):
+    """What most segments had in earlier pictures, outside and inside."""
+
+    level: np.ndarray  # (2, 1) common grey level
+    variance: np.ndarray  # (2, 1) of one picture's level about it
+    spread: np.ndarray  # (4, 1) of far and common levels about the segments' own
+
+    @staticmethod
+    def first(known: Known) -> LevelMemory:
+        """Begin with one picture."""
+        return LevelMemory(known.common, np.full_like(known.common, FIRST_SPREAD_GREY ** 2),
+                           known.spread)
+
+    def updated(self, known: Known) -> LevelMemory:
+        """Take in another picture."""
+        away = known.common - self.level
+        return LevelMemory(self.level + MEMORY_GAIN * away,
+                           self.variance + MEMORY_GAIN * (away * away - self.variance),
+                           self.spread + MEMORY_GAIN * (known.spread - self.spread))
+
+    @property
+    def gain(self) -> np.ndarray:
+        """Say how much of a new level to believe, 0 to 1 (2, 1)."""
+        return self.variance / (self.variance + STEADY_GREY ** 2)
+
+
+def fit_levels(sums: Sums, scan: Scan, step: np.ndarray, known: Known | None,
+               memory: LevelMemory | None) -> Levels:
+    """
+    Fit the grey levels of each segment.
+
+    Parameters
+    ----------
+    sums : Sums
+        Of the pixels across the edge.
+    scan : Scan
+        Has the pixels further away.
+    step : (n,) array
+        How far each line advances inwards per pixel.
+    known : Known or None
+        What an earlier step in the same picture found out.
+    memory : LevelMemory or None
+        What earlier pictures found out.
+
+    Returns
+    -------
+    Levels
+
+    """
+    inverse = 1.0 / _determinant(sums)
+    outside, contrast = _two_levels(sums, inverse)
+    # At the least squares solution the explained part is the product with the data.
+    missed = scan.grey_square - outside * sums.grey - contrast * sums.share_grey
+    residual = np.maximum(missed, 0.01) / (sums.one - 2.0)
+    if known is None:
+        known = _learn(np.array((outside, outside + contrast)), scan, step, middle(residual),
+                       memory)
+    sums = with_pixels(sums, known.pixels, known.grey)
+    inverse = 1.0 / _determinant(sums)
+    return Levels(*_two_levels(sums, inverse), _kept(sums, inverse), residual, known)
+
+
+def _learn(levels: np.ndarray, scan: Scan, step: np.ndarray, noise: float,
+           memory: LevelMemory | None) -> Known:
+    """Let far pixels and other segments pin the levels down as far as they are alike."""
+    lines, common = scan.layout.lines, middles(levels)
+    rising = step.take(scan.layout.first_line) > 0.0
+    table, away = np.empty((4, len(lines))), np.empty((4, len(lines)))
+    far = table[:2]
+    far[0], far[1] = scan.low_sum, scan.high_sum
+    np.divide(np.where(rising, far, far[::-1]), FAR_READ * lines, out=far)
+    np.abs(far - levels, out=away[:2])
+    np.abs(common - levels, out=away[2:])
+    spread, believed, doubt = MEDIAN_TO_SIGMA * middles(away), common, 1.0
+    if memory is not None:
+        gain = memory.gain
+        believed, doubt = memory.level + gain * (common - memory.level), float(gain.max())
+        spread += MEMORY_OF_SPREAD * (memory.spread - spread)
+    counted, limit = _pixels(spread, noise, float(lines[len(lines) // 2]), len(scan.grey))
+    table[2:] = believed
+    pixels = (away < limit) * counted  # others have a level of their own
+    grey = table * pixels
+    return Known(pixels[:2] + pixels[2:], grey[:2] + grey[2:],
+                 np.concatenate((pixels[:2], grey[:2])), common, spread, doubt)
+
+
+def _pixels(spread: np.ndarray, noise: float, lines: float,
+            across: int) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Say how many pixels other levels stand for, and how far from a segment's own they may be.
+
+    Parameters
+    ----------
+    spread : (4, 1) array
+        Of far levels outside and inside, and of common ones.
+    noise : float
+        Variance of a pixel.
+    lines, across : float, int
+        Lines of a segment, pixels of a line.
+
+    Returns
+    -------
+    (4, 1) array, (4, 1) array
+
+    """
+    of_far, of_own = noise / (FAR_READ * lines), noise / (0.5 * lines * across)
+    counted, limit = [], []
+    for seen in spread[:2, 0].tolist():
+        uneven = max(seen * seen - of_far - of_own, 0.0)
+        counted.append([noise / (of_far + uneven)])
+        limit.append([FAR_SIGMAS * (of_far + of_own + uneven) ** 0.5])
+    for seen in spread[2:, 0].tolist():
+        scatter = max(seen * seen - of_own, 1e-3 * noise)
+        counted.append([min(noise / scatter, MOST_POOLED)])
+        limit.append([FAR_SIGMAS * seen + FLAT_GREY])
+    return np.array(counted), np.array(limit)
+
+
+def kept_alone(sums: Sums, known: Known) -> np.ndarray:
+    """Give the share of the offset's information that is kept without other segments (s,)."""
+    sums = with_pixels(sums, known.far[:2], known.far[2:])
+    return _kept(sums, 1.0 / _determinant(sums))
+
+
+def _two_levels(sums: Sums, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Solve for the level outside and the contrast."""
+    contrast = (sums.one * sums.share_grey - sums.share * sums.grey) * inverse
+    return (sums.grey - contrast * sums.share) / sums.one, contrast
+
+
+def _determinant(sums: Sums) -> np.ndarray:
+    return np.maximum(sums.one * sums.share_share - sums.share * sums.share, 1e-6)
+
+
+def _kept(sums: Sums, inverse: np.ndarray) -> np.ndarray:
+    """Give the share of the offset's information that unknown levels leave."""
+    slope, slope_share = sums.slope, sums.slope_share
+    taken = slope * (sums.share_share * slope - 2.0 * sums.share * slope_share) \
+        + sums.one * slope_share * slope_share
+    return np.maximum(1.0 - taken * inverse / (sums.slope_slope + 1e-9), 0.1)
+
+
+def with_pixels(sums: Sums, pixels: np.ndarray, grey: np.ndarray) -> Sums:
+    """Add pixels of known grey level far outside and far inside."""
+    inside, grey_inside = pixels[1], grey[1]
+    return Sums(sums.one + (pixels[0] + inside), sums.grey + (grey[0] + grey_inside),
+                sums.share + inside, sums.share_share + inside, sums.share_grey + grey_inside,
+                *sums[5:])
+
+
+def middle(values: np.ndarray) -> float:
+    """Give the median of a short array, quickly."""
+    half, ordered = len(values) // 2, values.copy()
+    ordered.partition(half)
+    return float(ordered[half])
+
+
+def middles(values: np.ndarray) -> np.ndarray:
+    """Give the medians of the rows (r, s) as a column (r, 1), quickly."""
+    half, ordered = values.shape[1] // 2, values.copy()
+    ordered.partition(half, axis=1)
+    return ordered[:, half:half + 1]
