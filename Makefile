@@ -70,7 +70,9 @@ coverage: $(ENVIRONMENT)  ## measure how much of the core its own tests run
 
 pictures: demo  ## make the pictures of README and docs anew (needs Chromium)
 	@cp report/figure_2_paths.png docs/images/trial.png
-	@$(ENTER) && python3 tools/screenshots.py
+	@$(ENTER) && path_figures --output report && \
+		cp report/path_figures.png docs/images/path_figures.png && \
+		python3 tools/frames_picture.py && python3 tools/screenshots.py
 
 clean:  ## remove what was built, the environments too
-	rm -rf build install log report .venv .venv-noble
+	rm -rf build install log report .venv .venv-noble .coverage .mypy_cache
