@@ -49,6 +49,8 @@ from homography_servo.robot.robot_file import Robot
 from homography_servo.robot.robot_file import save_robot
 from homography_servo.settings import Settings
 from homography_servo.settings import text
+from homography_servo.tracking.tracker import LOST
+from homography_servo.tracking.tracker import SEARCHING
 import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo
@@ -110,6 +112,7 @@ class VisualServo(NodeKit, Node):
         self.listen(PoseWithCovarianceStamped, 'object/pose', self._on_look)
         self.listen(JointState, 'joint_states', self._on_joints)
         self.listen(CameraInfo, 'camera_info', self._on_camera, images_qos(False))
+        self.listen(String, 'snake_tracker/state', self._on_tracker, LATCHED)
         self.serve(Trigger, '~/start', self._on_start)
         self.serve(Trigger, '~/stop', self._on_stop)
         self.serve(SetBool, '~/pause', self._on_pause)
@@ -181,6 +184,11 @@ class VisualServo(NodeKit, Node):
             pose = self._servo.add_look(pose, covariance, stamp_s, time.monotonic())
         if isinstance(pose, Rejected):
             self.reject('object_pose', pose.reason)
+        self._tick()
+
+    def _on_tracker(self, msg: String) -> None:
+        """Hear sooner than by silence that the object is gone."""
+        self._servo.watch.sight.tracker_lost = msg.data in (LOST, SEARCHING)
         self._tick()
 
     def _on_calibrate(self) -> Rejected | None:

@@ -29,6 +29,7 @@ class Sight:
     def __init__(self) -> None:
         self.queue: deque[StampedLook] = deque(maxlen=KEPT_LOOKS)
         self.received_s = -math.inf
+        self.tracker_lost = False  # what the tracker says of itself
         self._newest_s = -math.inf
         self._lost = True
         self._in_a_row = 0
@@ -54,6 +55,9 @@ class Sight:
             self._lost = True
             return 'the object was never seen' if math.isinf(age_s) else \
                 f'the object is out of sight for more than {settings.image_timeout_s:.2f} s'
+        if self.tracker_lost:
+            self._lost, self._in_a_row = True, 0
+            return 'the tracker has lost the object'
         if self._lost and self._in_a_row < settings.found_looks:
             return f'the object is back in sight, waiting for {settings.found_looks} looks'
         self._lost = False

@@ -14,6 +14,10 @@ from homography_servo.nodes.conversions import joint_state_msg  # noqa: E402
 from homography_servo.nodes.kit import LATCHED  # noqa: E402
 from homography_servo.places import find_config  # noqa: E402
 from homography_servo.robot.robot_file import load_robot  # noqa: E402
+from rcl_interfaces.msg import Parameter  # noqa: E402
+from rcl_interfaces.msg import ParameterType  # noqa: E402
+from rcl_interfaces.msg import ParameterValue  # noqa: E402
+from rcl_interfaces.srv import SetParameters  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
@@ -77,6 +81,15 @@ class Loop:
         self.probe.wait(lambda: np.abs(self.joints - target).max() < 0.01 and self.still(0.3),
                         f'the arm does not come: {self.state("robix_bridge")}')
 
+    def show_box(self, shown: bool) -> float:
+        """Take the box out of the scene or put it back, and give when that was."""
+        value = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=shown)
+        answer = self.probe.call(SetParameters, 'camera_sim/set_parameters',
+                                 SetParameters.Request(parameters=[Parameter(
+                                     name='box_visible', value=value)]))
+        assert answer.results[0].successful, answer.results[0].reason
+        return time.monotonic()
+
     def still(self, for_s: float) -> bool:
         """Tell whether the arm has stood for a while."""
         return time.monotonic() - self.moved_s > for_s
@@ -138,6 +151,24 @@ def test_the_arm_stops_when_a_part_is_lost_and_goes_on_when_it_is_back(loop):
         loop.probe.wait(lambda: loop.state('visual_servo') in ('MOVING', 'LOOKING'),
                         f'{name} is back, but: {loop.state("visual_servo")}')
         print(f'{name}: back after {time.monotonic() - began_s:.1f} s', file=sys.stderr)
+
+
+def test_an_object_that_is_hidden_for_a_second_holds_the_arm_and_the_way_goes_on(loop):
+    loop.probe.wait(lambda: loop.state('visual_servo') == 'MOVING', 'no move begins')
+    loop.states['visual_servo'].clear()
+    hidden_s = loop.show_box(False)
+    loop.probe.wait(lambda: loop.state('visual_servo').startswith('HOLD'), 'no HOLD')
+    late_s = time.monotonic() - hidden_s
+    loop.probe.wait(lambda: loop.still(0.2), 'the arm moves on')
+    print(f'HOLD after {late_s:.3f} s, the arm stood after {loop.moved_s - hidden_s:.3f} s',
+          file=sys.stderr)
+    assert late_s < 0.25 + SLACK_S
+    assert 'object' in loop.state('visual_servo') and loop.state('snake_tracker') == 'LOST'
+    loop.probe.spin_for(max(0.0, hidden_s + 1.0 - time.monotonic()))
+    loop.show_box(True)
+    loop.probe.wait(lambda: loop.state('visual_servo').startswith(('DONE', 'FAILED')),
+                    'the way does not end', 60.0)
+    assert loop.state('visual_servo').startswith('DONE')
 
 
 def test_a_servo_that_dies_leaves_one_move_and_starts_only_when_told(loop):

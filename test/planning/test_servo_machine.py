@@ -87,6 +87,20 @@ def test_lost_input_holds_at_once_and_goes_on_by_itself(cut, back, word):
     assert all(e < bound for e, bound in zip(final_errors(run), FINAL))
 
 
+def test_what_the_tracker_says_holds_sooner_than_silence():
+    run = started()
+    run.see, run.servo.watch.sight.tracker_lost = False, True
+    lost_s = run.now_s
+    run.run(0.1)
+    assert run.servo.state_text == 'HOLD: the tracker has lost the object'
+    assert stops(run)[0] - lost_s < 0.03
+    run.see, run.servo.watch.sight.tracker_lost = True, False
+    run.run(0.1)  # three frames
+    assert 'waiting for 5' in run.servo.reason
+    run.run(60.0, lambda: not run.servo.active)
+    assert run.servo.state == DONE
+
+
 def test_vision_must_be_back_for_some_looks():
     run = started()
     run.see = False
