@@ -132,7 +132,9 @@ class TrialClient:
     def call(self, kind: type, name: str, request: Any, timeout_s: float = 15.0) -> Any:
         """Call a service and give its answer."""
         if name not in self._services:
-            self._services[name] = self.node.create_client(kind, name)
+            client = self._services[name] = self.node.create_client(kind, name)
+            self.wait(client.service_is_ready, timeout_s, f'service {name} did not appear')
+            self.settle()  # an answer to somebody not yet known there is dropped
         client = self._services[name]
         self.wait(client.service_is_ready, timeout_s, f'service {name} did not appear')
         future = client.call_async(request)

@@ -21,6 +21,7 @@ DOMAINS = itertools.cycle(range(1, 102))
 for _ in range(os.getpid() % 101):
     next(DOMAINS)
 PATIENCE_S = 30.0
+ASK_AGAIN_S = 6.0
 
 
 def wait_until(condition: Callable[[], Any], sentence: str, timeout_s: float = PATIENCE_S) -> Any:
@@ -45,6 +46,7 @@ class NodeProcess:
         environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1',
                        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
                        'ROS_PYTHON_CHECK_FIELDS': '1'}
+        self.name = name
         self.lines: list[str] = []
         self.process = subprocess.Popen(
             [sys.executable, '-m', 'homography_servo.nodes', name, *arguments],
@@ -136,15 +138,28 @@ class Probe:
             self.spin_once()
 
     def call(self, kind: type, name: str, request: Any = None,
-             timeout_s: float = PATIENCE_S) -> Any:
-        """Call a service and give its answer."""
+             timeout_s: float = PATIENCE_S, again_s: float = ASK_AGAIN_S) -> Any:
+        """
+        Call a service and give its answer.
+
+        Asks again after ``again_s``: a node that has just come up may not have found the
+        caller yet, and the middleware then drops its first answer.
+
+        """
         if name not in self._clients:
             self._clients[name] = self.node.create_client(kind, name)
         client = self._clients[name]
         self.wait(client.service_is_ready, f'no service {name}', timeout_s)
-        future = client.call_async(kind.Request() if request is None else request)
-        self.wait(future.done, f'no answer from {name}', timeout_s)
-        return future.result()
+        request = kind.Request() if request is None else request
+        futures, asked_s = [client.call_async(request)], time.monotonic()
+
+        def answered() -> Any:
+            nonlocal asked_s
+            if time.monotonic() - asked_s > again_s:
+                futures.append(client.call_async(request))
+                asked_s = time.monotonic()
+            return next((future for future in futures if future.done()), None)
+        return self.wait(answered, f'no answer from {name}', timeout_s).result()
 
     def stamp(self) -> Any:
         """Give the time now as a message."""
@@ -189,6 +204,7 @@ def start_node(domain):
     yield start
     for node in started:
         node.kill()
+        print(f'--- {node.name} printed:', *node.lines[-60:], sep='\n')  # seen after a failure
 
 
 def _yaml(value: Any) -> str:
