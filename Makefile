@@ -68,9 +68,10 @@ coverage: $(ENVIRONMENT)  ## measure how much of the core its own tests run
 		python3 -m coverage run -m pytest -q $(CORE_TESTS) && \
 		python3 tools/coverage_by_package.py --aim 95
 
-pictures: demo  ## make the pictures of README and docs anew (needs Chromium)
-	@cp report/figure_2_paths.png docs/images/trial.png
-	@$(ENTER) && path_figures --output report && \
+pictures: build  ## make the pictures of README and docs anew (needs Chromium)
+	@rm -rf report && $(ENTER) && servo_trial --bringup sim.yaml --record --output report && \
+		python3 tools/animation.py report/bag && path_figures --output report && \
+		cp report/figure_2_paths.png docs/images/trial.png && \
 		cp report/path_figures.png docs/images/path_figures.png && \
 		python3 tools/frames_picture.py && python3 tools/screenshots.py
 
