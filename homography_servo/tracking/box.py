@@ -136,19 +136,19 @@ class BoxSides:
         good = weight > 0.1
         if not good.any():
             return
-        self._inside = middle((edges.outside + edges.contrast)[good])
+        inside = self._inside = middle((edges.outside + edges.contrast)[good])
         self._variance = np.minimum(self._variance + DRIFT_SIGMA ** 2, FIRST_SIGMA ** 2)
         for side in range(4):
             own = good & (edges.side == side)
             if own.any():
-                self._learn_side(side, edges, own, strips, half)
+                self._learn_side(side, edges, own, strips, half, max(inside, 1.0))
 
     def _learn_side(self, side: int, edges: Edges, own: np.ndarray, strips: Strips | None,
-                    half: int) -> None:
+                    half: int, inside: float) -> None:
         outside = middle(edges.outside[own])
         width = 0.0 if strips is None else float(strips.width[side].mean())
         if width > half + CLEAR_PX:
-            self._update(side, outside / max(self._inside, 1.0), SURFACE_SIGMA ** 2)
+            self._update(side, outside / inside, SURFACE_SIGMA ** 2)
             return
         self._outside[side] = outside
         if edges.second is None:
@@ -157,7 +157,6 @@ class BoxSides:
         mine = own[second.segment] & (edges.side[second.segment] == side)
         information = second.level_own[mine].sum()
         if information > 1e-6 and width > LEARN_PX:
-            inside = max(self._inside, 1.0)
             level = self._level[side] + second.level_pull[mine].sum() / information / inside
             # A wrong width spreads the strip's light, a wrong edge mixes in the face's.
             spread = WIDTH_SIGMA_PX * (level - outside / inside) / width

@@ -127,7 +127,8 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
                  contrast, levels.outside, residual, layout.lines, known, common, second)
 
 
-def line_distances(scan: Scan, geometry: Geometry) -> tuple[np.ndarray, ...]:
+def line_distances(scan: Scan, geometry: Geometry
+                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """
     Give each line's first signed distance, its step, and image pixels per plane unit.
 

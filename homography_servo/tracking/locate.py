@@ -26,8 +26,9 @@ class Locator:
     def remember(self, image: np.ndarray, corners: np.ndarray) -> None:
         """Take in how the face with these corners [px] looks."""
         across, down = _axes(corners)
-        self._grid = tuple(max(LEAST_SIDE, int(np.ceil(
+        columns, rows = (max(LEAST_SIDE, int(np.ceil(
             (np.linalg.norm(axis) + 2.0 * MARGIN_PX) / GRID_PX))) for axis in (across, down))
+        self._grid = (columns, rows)
         self._view = _sample(image, corners, self._grid, 0)
 
     def locate(self, image: np.ndarray, corners: np.ndarray,

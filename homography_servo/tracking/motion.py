@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 import math
 
+from homography_servo.result import required
 from homography_servo.tracking.snake import Prior
 import numpy as np
 
@@ -45,7 +46,7 @@ class Motion:
     def measured(self, corners: np.ndarray, stamp_s: float) -> None:
         """Take in a trusted measurement."""
         if self._prior is not None:
-            self._learn(corners)
+            self._learn(corners, self._prior)
         if self.corners is not None:
             self._period_s = self.period(stamp_s)
             velocity = (corners - self.corners) / self._period_s
@@ -70,10 +71,10 @@ class Motion:
         self._prior = shape_prior(expected, SURPRISES * self._surprise_px)
         return self._prior
 
-    def _learn(self, corners: np.ndarray) -> None:
+    def _learn(self, corners: np.ndarray, prior: Prior) -> None:
         """Learn how well the shape is predicted; large surprises count at once."""
-        miss = (corners - self._prior.corners).ravel()
-        free = self._prior.free
+        miss = (corners - prior.corners).ravel()
+        free = required(prior.free, 'free motion in the prior')
         bend = miss - free @ (free.T @ miss)
         bend_px = (float(bend @ bend) / len(bend)) ** 0.5
         share = 1.0 if bend_px > self._surprise_px else FORGET

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from homography_servo.geometry.camera import Camera
+from homography_servo.result import required
 import numpy as np
 
 
@@ -27,6 +28,11 @@ class Plane:
             self._centre = np.array([camera.cx, camera.cy])
         self._maps: tuple[np.ndarray, np.ndarray] | None = None
 
+    @property
+    def lens(self) -> Camera:
+        """Give the camera; ValueError where nobody has calibrated one."""
+        return required(self.camera, 'calibrated camera')
+
     def fits(self, shape: tuple[int, ...]) -> bool:
         """Tell whether an image of this shape is one of the camera's."""
         return self.camera is None or (self.camera.height, self.camera.width) == tuple(shape)
@@ -35,13 +41,13 @@ class Plane:
         """Straighten pixels (..., 2)."""
         if not self.bent:
             return points_px
-        return self.camera.rays(points_px) * self.focal + self._centre
+        return self.lens.rays(points_px) * self.focal + self._centre
 
     def to_image(self, points: np.ndarray) -> np.ndarray:
         """Bend points (..., 2) of the plane to where the camera shows them."""
         if not self.bent:
             return points
-        return self.camera.project_rays(self.rays(points))
+        return self.lens.project_rays(self.rays(points))
 
     def rays(self, points: np.ndarray) -> np.ndarray:
         """Turn points (..., 2) of the plane into normalised coordinates."""
@@ -55,7 +61,7 @@ class Plane:
         """Carry the covariance (2m, 2m) of corners of the plane into the image."""
         if not self.bent:
             return covariance
-        local = self.camera.jacobian(self.rays(corners)) / self.focal
+        local = self.lens.jacobian(self.rays(corners)) / self.focal
         jacobian = np.zeros_like(covariance)
         for number, block in enumerate(local):
             part = slice(2 * number, 2 * number + 2)
@@ -66,8 +72,8 @@ class Plane:
     def maps(self) -> tuple[np.ndarray, np.ndarray]:
         """Give the plane's u and v of every pixel of the image, flat; made on first use."""
         if self._maps is None:
-            grid = np.stack(np.meshgrid(np.arange(self.camera.width),
-                                        np.arange(self.camera.height)), axis=-1)
+            grid = np.stack(np.meshgrid(np.arange(self.lens.width),
+                                        np.arange(self.lens.height)), axis=-1)
             straight = self.from_image(grid.reshape(-1, 2).astype(float))
             # No ray reaches some pixels of a bad calibration: far away is harmless.
             straight = np.where(np.isfinite(straight), straight, 1e6)

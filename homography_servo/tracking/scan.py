@@ -152,11 +152,11 @@ def _place_lines(shown: np.ndarray, sag: np.ndarray | None, half: int, stride: i
     bends = [(0.0, 0.0)] * count if sag is None else sag.tolist()
     parts = [(0.0, 1.0)] * count if spans is None else spans.tolist()
     near, across, table, total = [], [], [], []
-    for side, (corner, bend, part) in enumerate(zip(corners, bends, parts)):
-        before, after = (side - 1) % count, (side + 1) % count
+    for here, (corner, bend, part) in enumerate(zip(corners, bends, parts)):
+        before, after = (here - 1) % count, (here + 1) % count
         row, lines, ends, ahead = _side_lines(corner, corners[after], bend, part, first, half,
                                               stride)
-        table.append((side, *row))
+        table.append((here, *row))
         near += [*range(first, first + ends), *range(first + lines - ends, first + lines)]
         across += [before if ahead else after] * ends + [after if ahead else before] * ends
         total.append(lines)
@@ -238,11 +238,11 @@ def _layout(total: list[int], per_segment: int) -> Layout:
     """Cut the lines of each side into segments of about the same length."""
     parts = [max(1, round(lines / per_segment)) if lines else 0 for lines in total]
     table, line, segment = [], 0, 0
-    for number, (lines, cuts) in enumerate(zip(total, parts)):
-        table.append((number, line, segment, lines, max(cuts, 1)))
+    for corner, (lines, cuts) in enumerate(zip(total, parts)):
+        table.append((corner, line, segment, lines, max(cuts, 1)))
         line, segment = line + lines, segment + cuts
-    side, line, segment, lines, cuts = np.repeat(np.array(table).T, parts, axis=1)
-    first = line + (_counted(len(side)) - segment) * lines // cuts
+    side, lead, begun, length, share = np.repeat(np.array(table).T, parts, axis=1)
+    first = lead + (_counted(len(side)) - begun) * length // share
     number = np.empty_like(first)
     np.subtract(first[1:], first[:-1], out=number[:-1])
     number[-1:] = sum(total) - first[-1:]
@@ -278,8 +278,11 @@ def _gather(image: np.ndarray, plane: Plane, half: int, lines: Lines, layout: La
     else:
         _in_image(lines, place[:, :total])
     place[:, total:] = place.take(lines.near, axis=1)
-    return Scan(close, *sums, np.concatenate((lines.side, lines.across)), *place, lines.along,
-                lines.near, layout, plane.bent)
+    low, high, grey_sum, grey_square = sums
+    u, v, du, dv = place
+    return Scan(close, low, high, grey_sum, grey_square,
+                np.concatenate((lines.side, lines.across)), u, v, du, dv, lines.along, lines.near,
+                layout, plane.bent)
 
 
 def _in_image(lines: Lines, place: np.ndarray) -> None:

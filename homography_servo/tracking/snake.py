@@ -8,8 +8,10 @@ from typing import NamedTuple
 
 import cv2
 from homography_servo.result import Rejected
+from homography_servo.result import required
 from homography_servo.tracking.edges import Edges
 from homography_servo.tracking.edges import measure_edges
+from homography_servo.tracking.edges import SecondEdge
 from homography_servo.tracking.levels import LevelMemory
 from homography_servo.tracking.levels import middle
 from homography_servo.tracking.plane import Plane
@@ -78,6 +80,11 @@ class SnakeFit(NamedTuple):
     strips: Strips | None = None  # the sides of the box that were expected
     by_print: bool = False  # whether the print on the face was needed
 
+    @property
+    def judged(self) -> Quality:
+        """Give the quality, which every fit has that `fit_snake` gives."""
+        return required(self.quality, 'quality of the fit')
+
 
 def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = IMAGE_PLANE,
               prior: Prior | None = None, polarity: int = 0,
@@ -112,8 +119,9 @@ def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = I
     """
     profile, corners, far_px = edge_profile(look.blur_px), start, np.inf
     spans = None if strips is None else strips.spans
+    scan: Scan | None = None
     for iteration in range(look.iterations):
-        if far_px > 0.4 * look.half:
+        if scan is None or far_px > 0.4 * look.half:
             scan, far_px = read_scan(image, corners, plane, look.half, look.stride, look.lines,
                                      spans), 0.0
             known = None
@@ -167,7 +175,7 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
     rows, inward = polygon_rows(edges, len(corners)), edges.inward
     variance = edges.variance * _excess(edges)
     variance += MODEL_ERROR_PX ** 2
-    if edges.second is not None:
+    if edges.second is not None and strips is not None:
         variance += strips.doubt(edges.side, edges.along)
     precision = usable / variance
     held, pull = _held(prior, corners)
@@ -181,8 +189,8 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
         weight *= weight
         weighted = rows * (precision * weight)
         information, target = weighted @ rows.T + held, weighted @ inward + pull
-        if edges.second is not None:
-            _add_widths(information, target, edges, strips, rows,
+        if edges.second is not None and strips is not None:
+            _add_widths(information, target, edges, edges.second, strips, rows,
                         weight * precision * edges.variance)
         covariance = cv2.invert(information, flags=cv2.DECOMP_CHOLESKY)[1]
         shift = covariance @ target
@@ -217,10 +225,10 @@ def _ends(corner_count: int) -> tuple[np.ndarray, np.ndarray]:
     return start, np.roll(start, 1, axis=0) - start
 
 
-def _add_widths(information: np.ndarray, target: np.ndarray, edges: Edges, strips: Strips,
-                rows: np.ndarray, weight: np.ndarray) -> None:
+def _add_widths(information: np.ndarray, target: np.ndarray, edges: Edges,
+                second: SecondEdge, strips: Strips, rows: np.ndarray,
+                weight: np.ndarray) -> None:
     """Add what the strips' widths say about the corners to the normal equations."""
-    second = edges.second
     own = strips.rows_at(edges.side[second.segment], edges.along[second.segment])
     weight = weight[second.segment]
     mixed = rows[:, second.segment] @ (own * (weight * second.mixed)[:, None])

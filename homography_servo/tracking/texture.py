@@ -32,6 +32,19 @@ class Key(NamedTuple):
     weights: np.ndarray  # (r, c, 4) share of each corner in the place of a sample
     size: tuple[int, int]  # c, r
 
+    def rows(self, view: np.ndarray, corners: np.ndarray) -> np.ndarray:
+        """Differentiate the samples by the corners (r c, 8)."""
+        down, across = np.gradient(0.5 * (view + self.view))
+        place = self.weights @ corners
+        place_down, place_across = (np.gradient(place, axis=axis) for axis in (0, 1))
+        determinant = place_across[..., 0] * place_down[..., 1] \
+            - place_across[..., 1] * place_down[..., 0]
+        slope_u = (across * place_down[..., 1] - down * place_across[..., 1]) / determinant
+        slope_v = (down * place_across[..., 0] - across * place_down[..., 0]) / determinant
+        slope = np.stack([slope_u, slope_v], axis=-1)
+        rows = self.weights[..., :, None] * slope[..., None, :]
+        return rows.reshape(-1, 8)
+
 
 class FaceTexture:
     """Remembers the print of a face and finds it again near by."""
@@ -51,14 +64,14 @@ class FaceTexture:
     def remember(self, image: np.ndarray, corners_px: np.ndarray) -> None:
         """Take a picture as key if the face with these corners has print on it."""
         sides = np.linalg.norm(np.roll(corners_px, -1, axis=0) - corners_px, axis=1)
-        size = tuple(int(np.clip(max(pair) / SAMPLE_PX, LEAST_SAMPLES, MOST_SAMPLES))
-                     for pair in (sides[::2], sides[1::2]))
+        across, down = (int(np.clip(max(pair) / SAMPLE_PX, LEAST_SAMPLES, MOST_SAMPLES))
+                        for pair in (sides[::2], sides[1::2]))
+        size = (across, down)
         view = _view(image, corners_px, size)
         if view.std() < LIVELY_GREY:
             self._key = None
             return
-        across, down = (np.linspace(INSET, 1.0 - INSET, count) for count in size)
-        s, t = np.meshgrid(across, down)
+        s, t = np.meshgrid(*(np.linspace(INSET, 1.0 - INSET, count) for count in size))
         weights = np.stack([(1 - s) * (1 - t), s * (1 - t), s * t, (1 - s) * t], axis=-1)
         self._key = Key((view - view.mean()) / view.std(), weights, size)
 
@@ -79,42 +92,30 @@ class FaceTexture:
             Corners and their information, None where the face does not look alike.
 
         """
-        if self._key is None:
+        key = self._key
+        if key is None:
             return None
         corners = corners_px
         for _ in range(STEPS):
             if not np.isfinite(corners).all():
                 return None
-            view = _view(image, corners, self._key.size)
+            view = _view(image, corners, key.size)
             spread = float(view.std())
             if spread < 0.25 * LIVELY_GREY:
                 return None
             view = (view - view.mean()) / spread
-            rows = self._rows(view, corners)
-            miss = (self._key.view - view).ravel()
+            rows = key.rows(view, corners)
+            miss = (key.view - view).ravel()
             normal = rows.T @ rows + 1e-6 * np.eye(8)
             step = np.linalg.solve(normal, rows.T @ miss)
             corners = corners + step.reshape(4, 2)
             if np.abs(step).max() < DONE_PX:
                 break
-        if float(np.mean(view * self._key.view)) < LIKE or not np.isfinite(corners).all():
+        if float(np.mean(view * key.view)) < LIKE or not np.isfinite(corners).all():
             return None
         noise = REDUNDANCY * float(np.mean(miss * miss))
         covariance = noise * np.linalg.inv(normal) + KEY_SIGMA_PX ** 2 * np.eye(8)
         return Prior(corners, np.linalg.inv(covariance))
-
-    def _rows(self, view: np.ndarray, corners: np.ndarray) -> np.ndarray:
-        """Differentiate the samples by the corners (r c, 8)."""
-        down, across = np.gradient(0.5 * (view + self._key.view))
-        place = self._key.weights @ corners
-        place_down, place_across = (np.gradient(place, axis=axis) for axis in (0, 1))
-        determinant = place_across[..., 0] * place_down[..., 1] \
-            - place_across[..., 1] * place_down[..., 0]
-        slope_u = (across * place_down[..., 1] - down * place_across[..., 1]) / determinant
-        slope_v = (down * place_across[..., 0] - across * place_down[..., 0]) / determinant
-        slope = np.stack([slope_u, slope_v], axis=-1)
-        rows = self._key.weights[..., :, None] * slope[..., None, :]
-        return rows.reshape(-1, 8)
 
 
 def _view(image: np.ndarray, corners_px: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -67,6 +67,8 @@ class Tracker:
         self._settings, self._plane = settings, Plane(camera)
         self._first_px = _first_place(settings)
         self._spline = ClosedSpline()
+        self._last_px: np.ndarray | None = None
+        self._follower = Follower(settings, self._plane, self.face_size_m, box_height_m)
         self.reset()
 
     @property
@@ -103,7 +105,7 @@ class Tracker:
         self._follower = Follower(self._settings, self._plane, self.face_size_m,
                                   self.box_height_m)
         self._size: tuple[int, ...] | None = None
-        self._last_px: np.ndarray | None = None
+        self._last_px = None
         self._confirmed = self._missed = 0
         self._good_s = 0.0
         self._was_lost = False
