@@ -8,6 +8,7 @@ comes from `geometry.pose`, which weighs covariances and keeps both minima.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import cv2
@@ -133,18 +134,19 @@ def _turned(rotation: np.ndarray, small: np.ndarray) -> np.ndarray:
 
 
 def _from_homography(points_m: np.ndarray, rays: np.ndarray) -> FacePose | Rejected:
-    x, y = points_m.T
-    u, v = rays.T
-    one, zero = np.ones(4), np.zeros(4)
-    system = np.vstack([
-        np.column_stack([x, y, one, zero, zero, zero, -u * x, -u * y]),
-        np.column_stack([zero, zero, zero, x, y, one, -v * x, -v * y])])
-    try:
-        h = np.append(np.linalg.solve(system, np.concatenate([u, v])), 1.0).reshape(3, 3)
-    except np.linalg.LinAlgError:
+    """Decompose the homography of four points."""
+    matrix = cv2.getPerspectiveTransform(points_m.astype(np.float32), rays.astype(np.float32))
+    right, down, centre = matrix.T.astype(float)
+    long, short = math.sqrt(float(right @ right)), math.sqrt(float(down @ down))
+    if not (math.isfinite(long + short) and min(long, short) > 1e-9):
         return Rejected('the corners lie on a line')
-    h = h / np.sqrt(max(np.linalg.norm(h[:, 0]) * np.linalg.norm(h[:, 1]), 1e-12))
-    h = h if h[2, 2] > 0.0 else -h
-    left, _, right = np.linalg.svd(np.column_stack([h[:, :2], np.cross(h[:, 0], h[:, 1])]))
-    rotation = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    return FacePose(rotation, h[:, 2], np.zeros((4, 2)))
+    scale = math.copysign(1.0 / math.sqrt(long * short), centre[2])
+    # The rotation nearest to the two columns turns them apart about their middle.
+    middle, apart = right / long + down / short, right / long - down / short
+    both, between = float(middle @ middle), float(apart @ apart)
+    if min(both, between) < 1e-9:
+        return Rejected('the corners lie on a line')
+    middle, apart = middle / math.sqrt(2.0 * both), apart / math.sqrt(2.0 * between)
+    right, down = (math.copysign(1.0, scale) * (middle + side * apart) for side in (1.0, -1.0))
+    rotation = np.column_stack([right, down, np.cross(right, down)])
+    return FacePose(rotation, scale * centre, np.zeros((4, 2)))

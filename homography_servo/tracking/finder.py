@@ -35,15 +35,20 @@ import numpy as np
 LENS_GUESS = 1.2  # focal length over image width of a camera nobody calibrated
 SLACK = 1.5  # for distances measured with it
 STEEPEST = 0.35  # cosine of the largest tilt
-LOOKED_AT = 14  # candidates fitted at most
-LEAST_SCORE = 0.5
-CONVINCING = 0.75  # score that ends the search
+LOOKED_AT = 16  # candidates fitted at most
+LEAST_SCORE = 0.48
+CONVINCING = 0.7  # score that ends the search
+LIKELY_MISS = 0.4  # of the miss of the proportions that is allowed: one standard deviation
+FULL_GREY = 50.0  # contrast from which on more is not better
+NO_SIDES_SEEN = 0.6  # evidence where no side of the box can be in view
 CLEAR_GREY = 10.0  # contrast that is no noise
 EVEN_GREY = 12.0  # differences that a face of one colour may show
-SAME_PX = 5.0
+MOST_SKEW, MOST_STRETCH = 0.55, 0.55  # of a candidate: cosine, log of the aspect
+SAME_PX = 3.0
 AWAY_PX = 4.0  # distance from a side at which grey levels are compared
 STRIP_SAMPLES = np.linspace(0.15, 0.85, 7)
-WIDE = Look(1.5, 7, 3, 3, 3, 3.0, 0.5, 1.5)
+WIDE = Look(1.5, 7, 3, 3, 3, 6.0, 0.5, 1.5)
+ROUGH_PX, ROUGH_SHARE = 3.0, 0.05  # RMS error of a candidate's corners, and of its size
 
 
 class Target(NamedTuple):
@@ -125,7 +130,7 @@ def candidates(image: np.ndarray, target: Target, plane: Plane) -> np.ndarray:
     area = np.abs(across[:, 0, 0] * across[:, 1, 1] - across[:, 0, 1] * across[:, 1, 0])
     shown = (signed > CLEAR_GREY).mean(axis=(1, 2))
     merit = shown + 2.0 * even.mean(axis=1) + 0.3 * cosine + 0.1 * np.log(area / least)
-    merit[~in_reach | (shown < 0.5)] = -np.inf
+    merit[~in_reach | (shown < 0.5) | ~_in_proportion(quads, target, plane)] = -np.inf
     return _distinct(quads[np.argsort(-merit)[:np.isfinite(merit).sum()]])
 
 
@@ -140,6 +145,30 @@ def _distinct(quads: np.ndarray) -> np.ndarray:
         if len(kept) == LOOKED_AT:
             break
     return quads[kept]
+
+
+def _in_proportion(quads: np.ndarray, target: Target, plane: Plane) -> np.ndarray:
+    """
+    Tell which quadrilaterals may be views of the face; their corners are rough.
+
+    The depths of the corners are those that make it a parallelogram in space.
+    """
+    rays = np.concatenate([plane.rays(quads), np.ones((*quads.shape[:2], 1))], axis=2)
+    first, second, third, fourth = rays.transpose(1, 0, 2)
+
+    def volume(one: np.ndarray, two: np.ndarray, three: np.ndarray) -> np.ndarray:
+        return (np.cross(one, two) * three).sum(axis=1)
+
+    depth = volume(first, second, third), volume(second, third, fourth), \
+        volume(first, third, fourth), volume(first, second, fourth)
+    near = depth[1][:, None] * first
+    across = depth[2][:, None] * second - near
+    down = depth[0][:, None] * fourth - near
+    long, short = (np.linalg.norm(edge, axis=1) + 1e-12 for edge in (across, down))
+    skew = np.abs((across * down).sum(axis=1)) / (long * short)
+    wanted = abs(np.log(target.face_size_m[0] / target.face_size_m[1]))
+    stretch = np.abs(np.abs(np.log(long / short)) - wanted)
+    return (skew < MOST_SKEW) & (stretch < MOST_STRETCH)
 
 
 def _affine_pose(quads: np.ndarray, target: Target,
@@ -169,12 +198,15 @@ def _typical_plane(shape: tuple[int, ...]) -> Plane:
 def examine(image: np.ndarray, quad: np.ndarray, target: Target, plane: Plane,
             expected: np.ndarray | None = None) -> Found | Rejected:
     """Fit a candidate and check that it can be the face."""
+    if best_pose(quad, target.face_size_m, plane)[1] > ROUGH_PX + ROUGH_SHARE * _size(quad):
+        return Rejected('the proportions are not those of the face')
     fit = fit_snake(image, quad, WIDE, plane, None, target.polarity)
     if isinstance(fit, Rejected):
         return fit
     if best_pose(fit.corners, target.face_size_m, plane)[1] > 2.0 + 0.03 * _size(fit.corners):
         return Rejected('the proportions are not those of the face')
-    fit = fit_snake(image, fit.corners, Look(target.blur_px, 5), plane, None, target.polarity)
+    fit = fit_snake(image, fit.corners, Look(target.blur_px, 5, iterations=3), plane, None,
+                    target.polarity)
     if isinstance(fit, Rejected):
         return fit
     quality = fit.quality
@@ -189,9 +221,12 @@ def examine(image: np.ndarray, quad: np.ndarray, target: Target, plane: Plane,
     if not target.nearest_m < pose.translation[2] < target.farthest_m or cosine < STEEPEST:
         return Rejected('the face would be out of reach')
     turn = min(turns, key=lambda number: _turn_cost(fit.corners, number, expected))
-    score = quality.inlier_share * quality.side_share.min() ** 0.25 * cosine ** 0.25 \
-        * float(np.exp(-miss_px / (0.6 * allowed_px))) * _evenness(fit) \
-        * _box_evidence(image, fit.corners, turns[0], target, plane)
+    score = quality.inlier_share * quality.side_share.min() ** 0.25 \
+        * float(np.exp(-0.5 * (miss_px / (LIKELY_MISS * allowed_px)) ** 2)) * _evenness(fit) \
+        * min(abs(quality.contrast) / FULL_GREY, 1.0) ** 0.5
+    if score < LEAST_SCORE:  # looking at the sides of the box takes time
+        return Rejected('the edges, the evenness and the proportions are not those of the face')
+    score *= _box_evidence(image, fit.corners, turns[0], target, plane)
     return Found(turned_fit(fit, turn), quality, float(score), miss_px)
 
 
@@ -208,15 +243,20 @@ def best_pose(quad: np.ndarray, face_size_m: tuple[float, float], plane: Plane
 
     """
     points_m, rays = face_corners(*face_size_m), plane.rays(quad)
-    poses = [pose_of_face(points_m, np.roll(rays, -turn, axis=0)) for turn in (0, 1)]
-    missed = [np.inf if isinstance(pose, Rejected)
-              else float(plane.focal.mean() * np.sqrt(np.mean(pose.miss ** 2)))
-              for pose in poses]
-    better = int(missed[1] < missed[0])
+    rough = [pose_of_face(points_m, np.roll(rays, -turn, axis=0), None, 0) for turn in (0, 1)]
+    better = int(_missed(rough[1], plane) < _missed(rough[0], plane))
+    pose = rough[better] and pose_of_face(points_m, np.roll(rays, -better, axis=0), rough[better])
     turns = [better, better + 2]
     if abs(face_size_m[0] / face_size_m[1] - 1.0) < 0.02:
         turns = [0, 1, 2, 3]
-    return (None if np.isinf(missed[better]) else poses[better]), missed[better], turns
+    return (None if isinstance(pose, Rejected) else pose), _missed(pose, plane), turns
+
+
+def _missed(pose: FacePose | Rejected, plane: Plane) -> float:
+    """Give the RMS distance of the corners from the projected face [px]."""
+    if isinstance(pose, Rejected):
+        return np.inf
+    return float(plane.focal.mean() * np.sqrt(np.mean(pose.miss ** 2)))
 
 
 def _size(quad: np.ndarray) -> float:
@@ -245,7 +285,7 @@ def _box_evidence(image: np.ndarray, corners: np.ndarray, turn: int, target: Tar
         return 0.4
     seen = [_strip_shows(image, np.roll(corners, -turn, axis=0), outline, side, plane)
             for side in range(4) if outline.width[side].mean() > 4.0]
-    return 0.4 + 0.6 * float(np.mean(seen)) if seen else 0.75
+    return 0.4 + 0.6 * float(np.mean(seen)) if seen else NO_SIDES_SEEN
 
 
 def _strip_shows(image: np.ndarray, corners: np.ndarray, outline: Outline, side: int,

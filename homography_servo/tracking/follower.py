@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from homography_servo.geometry.face import face_corners
 from homography_servo.result import Rejected
-from homography_servo.result import required
 from homography_servo.tracking.box import BoxSides
-from homography_servo.tracking.face_pose import FacePose
 from homography_servo.tracking.face_pose import next_pose
 from homography_servo.tracking.face_pose import pose_of_face
 from homography_servo.tracking.focus import first_focus
@@ -72,8 +70,7 @@ class Follower:
         self._locator, self._texture = Locator(), FaceTexture()
         self._edges_are_weak = False
         self._accepted = 0
-        self._points_m = face_corners(*face_size_m)
-        self._pose: FacePose | None = None
+        self._points_m, self._pose = face_corners(*face_size_m), None
         self.forget()
 
     @property
@@ -84,9 +81,7 @@ class Follower:
     @property
     def last_px(self) -> np.ndarray | None:
         """Give the last corners in the image."""
-        if self._motion is None or self._motion.corners is None:
-            return None
-        return self._plane.to_image(self._motion.corners)
+        return None if self._motion is None else self._plane.to_image(self._motion.corners)
 
     def forget(self) -> None:
         """Stop following; what the face looks like stays known."""
@@ -112,7 +107,7 @@ class Follower:
         SnakeFit or Rejected
 
         """
-        prior = required(self._motion, 'face to follow').predict(stamp_s)
+        prior = self._motion.predict(stamp_s)
         fit = self._by_print(image, prior.corners, prior) if self._edges_are_weak \
             else self._fine(image, prior)
         if fit:
@@ -155,7 +150,7 @@ class Follower:
                 fit = self._near(image, Prior(corners, prior.information), MEDIUM)
         if not fit and told:
             return self._told(image, prior)
-        if isinstance(fit, Rejected) or self._accepted:
+        if not fit or self._accepted:
             return fit
         return self.settle(image, fit)
 
@@ -170,7 +165,7 @@ class Follower:
         self._edges_are_weak = True
         moved_px = float(np.abs(fit.corners - prior.corners).max())
         if not self._texture.known or moved_px > TOLD_PX \
-                or np.count_nonzero(fit.judged.side_share > 2.0 * SEEN_SIDE) < SIDES_NEEDED - 1:
+                or np.count_nonzero(fit.quality.side_share > 2.0 * SEEN_SIDE) < SIDES_NEEDED - 1:
             self._texture.forget()
             self._edges_are_weak = False
             return Rejected('neither edges nor print confirm the given corners')
@@ -196,13 +191,13 @@ class Follower:
         scan = read_scan(image, fit.corners, self._plane, FOCUS_HALF)
         if scan is not None:
             self.blur_px = first_focus(scan, fit.corners)
-        for _ in range(2 if self._box is None else 4):
+        rounds = 1 if self._box is None else 3
+        for look in (*[self._sharp] * rounds, self._fine):
             if self._box is not None:
                 self._box.learn(fit.edges, fit.weight, fit.strips, self.settings.edge_half_px)
-            again = self._fine(image, shape_prior(fit.corners, GIVEN_SHAPE_SIGMA_PX))
-            if isinstance(again, Rejected):
-                return again
-            fit = again
+            fit = look(image, shape_prior(fit.corners, GIVEN_SHAPE_SIGMA_PX))
+            if isinstance(fit, Rejected):
+                return fit
         return fit
 
     def accept(self, image: np.ndarray, fit: SnakeFit, stamp_s: float) -> None:
@@ -225,7 +220,7 @@ class Follower:
             return  # its edges are too weak to learn from
         if self._accepted <= REFOCUS_FIRST or self._accepted % REFOCUS_EVERY == 0:
             clean = good if fit.edges.second is None else good & fit.edges.single
-            self.blur_px = refocus(required(fit.scan, 'scan'), fit.corners, clean, self.blur_px)
+            self.blur_px = refocus(fit.scan, fit.corners, clean, self.blur_px)
 
     def _locate(self, image: np.ndarray, corners: np.ndarray) -> np.ndarray | None:
         shown = self._locator.locate(image, self._plane.to_image(corners),
@@ -245,21 +240,25 @@ class Follower:
         return self._fine(image, start)
 
     def _fine(self, image: np.ndarray, prior: Prior) -> SnakeFit | Rejected:
-        blur_px = round(50.0 * self.blur_px) / 50.0
-        half = self.settings.edge_half_px + max(0, round(2.0 * (blur_px - 0.8)))
-        strips, rigid = (None, None) if self._box is None else self._box.strips(prior.corners)
-        held = prior if rigid is None else both(prior, rigid)
-        fit = fit_snake(image, prior.corners, Look(blur_px, half), self._plane, held,
-                        POLARITIES[self.settings.polarity], strips,
-                        None if self._motion is None else self._memory)
+        """Fit to all pixels of the edges, and doubt what comes out."""
+        fit = self._sharp(image, prior)
         if isinstance(fit, Rejected):
             return fit
         doubt = self._doubt(fit, prior)
         return Rejected(doubt) if doubt else fit
 
+    def _sharp(self, image: np.ndarray, prior: Prior) -> SnakeFit | Rejected:
+        blur_px = round(50.0 * self.blur_px) / 50.0
+        half = self.settings.edge_half_px + max(0, round(2.0 * (blur_px - 0.8)))
+        strips, rigid = (None, None) if self._box is None else self._box.strips(prior.corners)
+        held = prior if rigid is None else both(prior, rigid)
+        return fit_snake(image, prior.corners, Look(blur_px, half), self._plane, held,
+                         POLARITIES[self.settings.polarity], strips,
+                         None if self._motion is None else self._memory)
+
     def _doubt(self, fit: SnakeFit, prior: Prior) -> str:
         """Give the reason not to trust a fit, or nothing."""
-        settings, quality = self.settings, fit.judged
+        settings, quality = self.settings, fit.quality
         if abs(quality.contrast) < settings.min_contrast:
             return f'the contrast of the edges is {quality.contrast:.0f} grey levels'
         if quality.inlier_share < settings.min_inlier_share:

@@ -10,7 +10,7 @@ import numpy as np
 
 SMALLER_BY = 2  # the picture is searched at this fraction of its size
 LEAST_IMAGE_PX = 16
-THRESHOLDS = 11
+THRESHOLDS = 9
 CANNY_GREY = (15, 40)
 SAME_PX = 4.0
 STRAIGHT_PX = 1.5  # how far an outline may leave a straight side
@@ -18,6 +18,8 @@ LONGEST_SIDES = 7  # of an outline that may be sides of the face
 SUPPORTED = 0.3  # share of a side that must be seen
 FOURS = {count: np.array(list(combinations(range(count), 4)))
          for count in range(4, LONGEST_SIDES + 1)}
+RARE_KERNEL = np.array([1, 2, 3, 2, 1])
+MERGED_SINE, MERGED_PX = 0.06, 2.0  # pieces this much in line are parts of one side
 SIDE_SAMPLES = np.array([0.15, 0.3, 0.5, 0.7, 0.85])
 
 
@@ -61,9 +63,21 @@ def _masks(small: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
     edges = cv2.Canny(smooth, *CANNY_GREY)
     yield cv2.bitwise_not(edges), 0.5
     yield cv2.bitwise_not(cv2.dilate(edges, np.ones((3, 3), np.uint8))), 1.5
-    low, high = np.percentile(smooth[::3, ::3], (1.0, 99.0))
-    for level in np.linspace(low, high, THRESHOLDS + 2)[1:-1]:
+    for level in _rare_levels(smooth):
         yield cv2.threshold(smooth, level, 255, cv2.THRESH_BINARY)[1], 0.0
+
+
+def _rare_levels(smooth: np.ndarray) -> list[int]:
+    """
+    Spread thresholds over the grey levels, each where few pixels are near it.
+
+    Noise would fringe the outlines at a level that a whole surface has.
+    """
+    low, high = np.percentile(smooth[::3, ::3], (1.0, 99.0))
+    count = np.convolve(np.bincount(smooth[::2, ::2].ravel(), minlength=256), RARE_KERNEL, 'same')
+    cuts = np.linspace(low, high, THRESHOLDS + 1).astype(int).tolist()
+    return [first + int(np.argmin(count[first:last]))
+            for first, last in zip(cuts, cuts[1:]) if last > first]
 
 
 def _pieces(mask: np.ndarray, least: float, grow: float) -> Iterator[tuple[np.ndarray, ...]]:
@@ -88,14 +102,47 @@ def _pieces(mask: np.ndarray, least: float, grow: float) -> Iterator[tuple[np.nd
         if len(simple) < 4:
             continue
         after = simple[np.arange(1, len(simple) + 1) % len(simple)]
-        if (simple[:, 0] * after[:, 1] - simple[:, 1] * after[:, 0]).sum() < 0.0:
+        hole = (simple[:, 0] * after[:, 1] - simple[:, 1] * after[:, 0]).sum() > 0.0
+        if not hole:  # OpenCV goes round these the other way
             simple, after = after[::-1], simple[::-1]
         edge = after - simple
         length = np.sqrt(edge[:, 0] ** 2 + edge[:, 1] ** 2)
-        four = np.sort(np.argsort(-length)[:LONGEST_SIDES])[FOURS[min(len(simple),
-                                                                      LONGEST_SIDES)]]
-        yield (simple[four], (edge / length[:, None])[four], length[four],
-               np.full(len(four), grow))
+        direction = edge / length[:, None]
+        chosen = np.argsort(-length)[:LONGEST_SIDES]
+        if len(simple) > 4:
+            simple, length, chosen = _joined(simple, direction, length, chosen)
+        if len(chosen) < 4:
+            continue
+        four = np.sort(chosen)[FOURS[len(chosen)]]
+        # Outlines run through the centres of a region's own pixels.
+        yield (simple[four], direction[four], length[four],
+               np.full(len(four), -0.5 if hole else grow + 0.5))
+
+
+def _joined(start: np.ndarray, direction: np.ndarray, length: np.ndarray,
+            chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Join pieces of an outline that lie on one line, as when something hides a part of a side.
+
+    Returns
+    -------
+    (N, 2) array, (N,) array, (c,) array
+        Where the pieces start, their lengths, and the chosen ones that are left.
+
+    """
+    own, away = direction[chosen], start - start[chosen][:, None]
+    sine = own[:, :1] * direction[:, 1] - own[:, 1:] * direction[:, 0]
+    aside = own[:, :1] * away[..., 1] - own[:, 1:] * away[..., 0]
+    ahead = own[:, :1] * away[..., 0] + own[:, 1:] * away[..., 1]
+    alike = (np.abs(sine) < MERGED_SINE) & (np.abs(aside) < MERGED_PX) \
+        & (own @ direction.T > 0.0)
+    low = np.where(alike, ahead, np.inf).min(axis=1)
+    high = np.where(alike, ahead + length, -np.inf).max(axis=1)
+    start, length = start.copy(), length.copy()
+    start[chosen] += low[:, None] * own
+    length[chosen] = high - low
+    taken = np.triu(alike[:, chosen], 1).any(axis=0)  # by a longer one
+    return start, length, chosen[~taken]
 
 
 def _intersected(start: np.ndarray, direction: np.ndarray, length: np.ndarray, grow: np.ndarray,
