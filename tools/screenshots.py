@@ -55,7 +55,11 @@ def end(process: subprocess.Popen) -> None:
     """End a process as Ctrl-C does."""
     if process.poll() is None:
         process.send_signal(signal.SIGINT)
-        process.wait(20.0)
+        try:
+            process.wait(20.0)
+        except subprocess.TimeoutExpired:
+            process.kill()  # its nodes notice
+            process.wait()
 
 
 def wait(condition: Callable, sentence: str):
