@@ -36,11 +36,11 @@ LENS_GUESS = 1.2  # focal length over image width of a camera nobody calibrated
 SLACK = 1.5  # for distances measured with it
 STEEPEST = 0.35  # cosine of the largest tilt
 LOOKED_AT = 16  # candidates fitted at most
-LEAST_SCORE = 0.48
+LEAST_SCORE = 0.47
 CONVINCING = 0.7  # score that ends the search
-LIKELY_MISS = 0.4  # of the miss of the proportions that is allowed: one standard deviation
+LIKELY_MISS = 0.6  # of the miss of the proportions that is allowed
 FULL_GREY = 50.0  # contrast from which on more is not better
-NO_SIDES_SEEN = 0.6  # evidence where no side of the box can be in view
+NO_SIDES_SEEN = 0.65  # evidence where no side of the box can be in view
 CLEAR_GREY = 10.0  # contrast that is no noise
 EVEN_GREY = 12.0  # differences that a face of one colour may show
 MOST_SKEW, MOST_STRETCH = 0.55, 0.55  # of a candidate: cosine, log of the aspect
@@ -222,7 +222,7 @@ def examine(image: np.ndarray, quad: np.ndarray, target: Target, plane: Plane,
         return Rejected('the face would be out of reach')
     turn = min(turns, key=lambda number: _turn_cost(fit.corners, number, expected))
     score = quality.inlier_share * quality.side_share.min() ** 0.25 \
-        * float(np.exp(-0.5 * (miss_px / (LIKELY_MISS * allowed_px)) ** 2)) * _evenness(fit) \
+        * float(np.exp(-miss_px / (LIKELY_MISS * allowed_px))) * _evenness(fit) \
         * min(abs(quality.contrast) / FULL_GREY, 1.0) ** 0.5
     if score < LEAST_SCORE:  # looking at the sides of the box takes time
         return Rejected('the edges, the evenness and the proportions are not those of the face')
