@@ -29,10 +29,20 @@ DEFAULT = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 COMPLAINT_PERIOD_S = 1.0
 
 
+SHORT = QoSProfile(depth=3, reliability=ReliabilityPolicy.RELIABLE)  # old ones are no use
+
+
 def images_qos(reliable: bool) -> QoSProfile:
     """Give the quality of service of images: depth 5, best effort unless asked."""
     policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
     return QoSProfile(depth=5, reliability=policy)
+
+
+def newest_image_qos(reliable: bool) -> QoSProfile:
+    """Take the newest image only, for a slow listener must not work on old ones, or all."""
+    if reliable:
+        return images_qos(True)
+    return QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class Health(NamedTuple):

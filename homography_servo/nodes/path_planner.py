@@ -22,9 +22,10 @@ from homography_servo.nodes.conversions import seconds_from_stamp
 from homography_servo.nodes.conversions import stamp_label
 from homography_servo.nodes.conversions import transform_from_pose
 from homography_servo.nodes.kit import Health
-from homography_servo.nodes.kit import images_qos
+from homography_servo.nodes.kit import newest_image_qos
 from homography_servo.nodes.kit import NodeKit
 from homography_servo.nodes.kit import OK
+from homography_servo.nodes.kit import SHORT
 from homography_servo.nodes.kit import WARN
 from homography_servo.nodes.parameters import Parameters
 from homography_servo.nodes.path_markers import image_marker
@@ -108,9 +109,10 @@ class PathPlanner(NodeKit, Node):
         self._image_markers = self.latched(ImageMarker, 'path/image_markers')
 
     def _listen_to(self) -> None:
-        self.listen(CameraInfo, 'camera_info', self._on_camera, images_qos(False))
-        self.listen(Float64MultiArray, 'object/corner_covariance', self._on_covariance)
-        self.listen(PolygonStamped, 'object/corners', self._on_corners)
+        self.listen(CameraInfo, 'camera_info', self._on_camera, newest_image_qos(False))
+        self.listen(Float64MultiArray, 'object/corner_covariance', self._on_covariance,
+                    SHORT)
+        self.listen(PolygonStamped, 'object/corners', self._on_corners, SHORT)
         self.listen(JointState, 'joint_states', self._on_joints)
         self.listen(PolygonStamped, 'goal/corners', self._on_goal_corners)
         self.listen(PoseStamped, 'goal/pose', self._on_goal_pose)

@@ -19,12 +19,12 @@ from typing import Callable, Sequence
 from homography_servo.errors import ConfigError
 from homography_servo.errors import HardwareError
 from homography_servo.errors import ServoError
+from homography_servo.nodes.executor import executor_for
 from homography_servo.nodes.help import help_text
 import rclpy
 from rclpy.exceptions import InvalidParameterException
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.exceptions import InvalidParameterValueException
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 EXIT_OK, EXIT_FAILED, EXIT_CONFIG, EXIT_HARDWARE = 0, 1, 2, 3
@@ -45,6 +45,13 @@ def tune_allocator() -> None:
             libc.mallopt(option, size)  # M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_THRESHOLD
     except (OSError, AttributeError):
         pass
+
+
+def tune_threads() -> None:
+    """Keep OpenCV in one thread: the pictures are small, and other nodes wait."""
+    opencv = sys.modules.get('cv2')
+    if opencv is not None:
+        opencv.setNumThreads(1)
 
 
 class SignalWatch:
@@ -96,6 +103,7 @@ def run_node(node_type: type, args: Sequence[str] | None = None) -> int:
         print(help_text(node_type))
         return EXIT_OK
     tune_allocator()
+    tune_threads()
     watch = SignalWatch()
     try:
         rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
@@ -117,8 +125,7 @@ def _run(node_type: type, watch: SignalWatch) -> int:
         return _say(error, EXIT_HARDWARE)
     except ServoError as error:
         return _say(error, EXIT_FAILED)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
+    executor = executor_for(node)
     watch.on_stop(node.on_signal)
     watch.on_stop(executor.wake)
     node.on_finish = executor.wake

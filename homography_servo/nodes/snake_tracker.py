@@ -17,6 +17,7 @@ from homography_servo.nodes.conversions import seconds_from_stamp
 from homography_servo.nodes.kit import DEFAULT
 from homography_servo.nodes.kit import Health
 from homography_servo.nodes.kit import images_qos
+from homography_servo.nodes.kit import newest_image_qos
 from homography_servo.nodes.kit import NodeKit
 from homography_servo.nodes.kit import OK
 from homography_servo.nodes.kit import WARN
@@ -96,9 +97,9 @@ class SnakeTracker(NodeKit, Node):
         self._state = self.latched(String, '~/state')
 
     def _listen_to(self, own: SnakeTrackerSettings) -> None:
-        qos = images_qos(own.reliable_images)
+        qos = newest_image_qos(own.reliable_images)
         self.listen(Image, 'image', self._on_image, qos)
-        self.listen(CameraInfo, 'camera_info', self._on_camera, images_qos(False))
+        self.listen(CameraInfo, 'camera_info', self._on_camera, newest_image_qos(False))
         self.listen(PolygonStamped, 'object/predicted_corners', self._on_predicted)
         self.serve(Trigger, '~/reset', self._on_reset)
 

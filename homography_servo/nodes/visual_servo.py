@@ -24,8 +24,8 @@ from homography_servo.nodes.kit import COMMANDS
 from homography_servo.nodes.kit import DEFAULT
 from homography_servo.nodes.kit import ERROR
 from homography_servo.nodes.kit import Health
-from homography_servo.nodes.kit import images_qos
 from homography_servo.nodes.kit import LATCHED
+from homography_servo.nodes.kit import newest_image_qos
 from homography_servo.nodes.kit import NodeKit
 from homography_servo.nodes.kit import OK
 from homography_servo.nodes.kit import WARN
@@ -111,8 +111,9 @@ class VisualServo(NodeKit, Node):
         self.listen(JointTrajectory, 'path/joint_trajectory', self._on_plan, LATCHED)
         self.listen(PoseWithCovarianceStamped, 'object/pose', self._on_look)
         self.listen(JointState, 'joint_states', self._on_joints)
-        self.listen(CameraInfo, 'camera_info', self._on_camera, images_qos(False))
+        self.listen(CameraInfo, 'camera_info', self._on_camera, newest_image_qos(False))
         self.listen(String, 'snake_tracker/state', self._on_tracker, LATCHED)
+        self.listen(String, 'robix_bridge/state', self._on_bridge, LATCHED)
         self.serve(Trigger, '~/start', self._on_start)
         self.serve(Trigger, '~/stop', self._on_stop)
         self.serve(SetBool, '~/pause', self._on_pause)
@@ -189,6 +190,12 @@ class VisualServo(NodeKit, Node):
     def _on_tracker(self, msg: String) -> None:
         """Hear sooner than by silence that the object is gone."""
         self._servo.watch.sight.tracker_lost = msg.data in (LOST, SEARCHING)
+        self._tick()
+
+    def _on_bridge(self, msg: String) -> None:
+        """Hear why commands would be in vain."""
+        state, _, reason = msg.data.partition(': ')
+        self._servo.watch.arm_latched = reason or state if state == 'LATCHED' else ''
         self._tick()
 
     def _on_calibrate(self) -> Rejected | None:

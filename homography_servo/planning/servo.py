@@ -187,7 +187,9 @@ class Servo:
 
     def _advance(self, now_s: float) -> None:
         trouble = self.watch.trouble(now_s, self.settings)
-        if trouble:
+        if self.watch.arm_latched:  # a reset moves nothing: somebody has to start again
+            self._end(FAILED, trouble)
+        elif trouble:
             self._hold(trouble)
         elif self.state == HOLD:
             self._resume(now_s)

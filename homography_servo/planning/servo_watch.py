@@ -71,12 +71,15 @@ class Watch:
         self.sight = Sight()
         self.joints = JointTrack()
         self.paused = False
+        self.arm_latched = ''  # why the bridge takes no command before a reset
         self.focal_px: float | None = None
         self._joints_lost = False
         self._before_loss_rad: np.ndarray | None = None
 
     def trouble(self, now_s: float, settings: ServoSettings) -> str:
         """Say why nothing may move now, empty when it may."""
+        if self.arm_latched:
+            return f'the arm is latched ({self.arm_latched}); call robix_bridge/reset'
         if self.paused:
             return 'paused by the operator'
         if self.focal_px is None:

@@ -12,6 +12,7 @@ import threading
 import time
 from typing import Any, Callable
 
+from homography_servo.nodes.__main__ import PARENT
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -45,7 +46,8 @@ class NodeProcess:
     def __init__(self, name: str, domain: int, arguments: list[str]) -> None:
         environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1',
                        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-                       'ROS_PYTHON_CHECK_FIELDS': '1'}
+                       'ROS_PYTHON_CHECK_FIELDS': '1',
+                       PARENT: str(os.getpid())}  # not even a killed test leaves a node behind
         self.name = name
         self.lines: list[str] = []
         self.process = subprocess.Popen(

@@ -11,6 +11,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2')
 
 from geometry_msgs.msg import PoseWithCovarianceStamped  # noqa: E402,I100
 from homography_servo.nodes.conversions import joint_state_msg  # noqa: E402
+from homography_servo.nodes.conversions import seconds_from_stamp  # noqa: E402
 from homography_servo.nodes.kit import LATCHED  # noqa: E402
 from homography_servo.places import find_config  # noqa: E402
 from homography_servo.robot.robot_file import load_robot  # noqa: E402
@@ -43,6 +44,7 @@ class Loop:
         self.probe, self._start = probe, start_node
         self.nodes = {name: start_node(name, **values) for name, values in PARAMETERS.items()}
         self.joints, self.moved_s = None, 0.0
+        self._stamps_ahead_s = time.time() - time.monotonic()
         probe.node.create_subscription(JointState, 'joint_states', self._on_joints, 10)
         self.states = {name: probe.record(String, f'{name}/state', LATCHED)
                        for name in ('visual_servo', 'snake_tracker', 'robix_bridge')}
@@ -53,7 +55,7 @@ class Loop:
     def _on_joints(self, msg) -> None:
         joints = np.array(msg.position)
         if self.joints is not None and np.abs(joints - self.joints).max() > STILL_RAD:
-            self.moved_s = time.monotonic()
+            self.moved_s = seconds_from_stamp(msg.header.stamp) - self._stamps_ahead_s
         self.joints = joints
 
     def _on_pose(self, _) -> None:
@@ -71,7 +73,11 @@ class Loop:
             answers.append(self.probe.call(Trigger, service))
             self.probe.spin_for(0.1)
             return answers[-1].success
-        self.probe.wait(granted, f'{service} refuses')
+        try:
+            self.probe.wait(granted, f'{service} refuses')
+        except AssertionError as error:
+            heard = {name: self.state(name) for name in self.states}
+            raise AssertionError(f'{error}: {answers[-1].message!r}, states {heard}') from error
         return answers[-1].message
 
     def drive(self, degrees) -> None:

@@ -101,6 +101,22 @@ def test_what_the_tracker_says_holds_sooner_than_silence():
     assert run.servo.state == DONE
 
 
+def test_an_arm_that_is_latched_ends_the_way_and_a_reset_alone_moves_nothing():
+    run = started()
+    run.servo.watch.arm_latched = 'stopped by ~/stop'
+    latched_s = run.now_s
+    run.run(0.5)
+    reason = 'the arm is latched (stopped by ~/stop); call robix_bridge/reset'
+    assert run.servo.state_text == f'FAILED: {reason}'
+    assert run.servo.start(run.now_s) == Rejected(reason)
+    run.servo.watch.arm_latched = ''
+    run.run(2.0)
+    assert not [at_s for at_s, _ in moves(run) if at_s > latched_s + 0.03]
+    assert isinstance(run.servo.start(run.now_s), str)
+    run.run(60.0, lambda: not run.servo.active)
+    assert run.servo.state == DONE
+
+
 def test_vision_must_be_back_for_some_looks():
     run = started()
     run.see = False
