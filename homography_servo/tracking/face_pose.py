@@ -45,11 +45,10 @@ def pose_of_face(points_m: np.ndarray, rays: np.ndarray, start: FacePose | None 
     FacePose or Rejected
 
     """
-    if start is None:
-        start = _from_homography(points_m[:4, :2], rays[:4])
-        if isinstance(start, Rejected):
-            return start
-    rotation, translation = start.rotation, start.translation
+    first = _from_homography(points_m[:4, :2], rays[:4]) if start is None else start
+    if isinstance(first, Rejected):
+        return first
+    rotation, translation = first.rotation, first.translation
     for _ in range(iterations):
         miss, jacobian = _linearise(points_m, rays, rotation, translation)
         step = cv2.solve(jacobian.T @ jacobian, jacobian.T @ miss.reshape(-1, 1),

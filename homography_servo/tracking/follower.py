@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from homography_servo.geometry.face import face_corners
 from homography_servo.result import Rejected
+from homography_servo.result import required
 from homography_servo.tracking.box import BoxSides
+from homography_servo.tracking.face_pose import FacePose
 from homography_servo.tracking.face_pose import next_pose
 from homography_servo.tracking.face_pose import pose_of_face
 from homography_servo.tracking.focus import first_focus
@@ -70,7 +72,8 @@ class Follower:
         self._locator, self._texture = Locator(), FaceTexture()
         self._edges_are_weak = False
         self._accepted = 0
-        self._points_m, self._pose = face_corners(*face_size_m), None
+        self._points_m = face_corners(*face_size_m)
+        self._pose: FacePose | None = None
         self.forget()
 
     @property
@@ -81,7 +84,9 @@ class Follower:
     @property
     def last_px(self) -> np.ndarray | None:
         """Give the last corners in the image."""
-        return None if self._motion is None else self._plane.to_image(self._motion.corners)
+        if self._motion is None or self._motion.corners is None:
+            return None
+        return self._plane.to_image(self._motion.corners)
 
     def forget(self) -> None:
         """Stop following; what the face looks like stays known."""
@@ -107,7 +112,7 @@ class Follower:
         SnakeFit or Rejected
 
         """
-        prior = self._motion.predict(stamp_s)
+        prior = required(self._motion, 'face to follow').predict(stamp_s)
         fit = self._by_print(image, prior.corners, prior) if self._edges_are_weak \
             else self._fine(image, prior)
         if fit:
@@ -150,7 +155,7 @@ class Follower:
                 fit = self._near(image, Prior(corners, prior.information), MEDIUM)
         if not fit and told:
             return self._told(image, prior)
-        if not fit or self._accepted:
+        if isinstance(fit, Rejected) or self._accepted:
             return fit
         return self.settle(image, fit)
 
@@ -165,7 +170,7 @@ class Follower:
         self._edges_are_weak = True
         moved_px = float(np.abs(fit.corners - prior.corners).max())
         if not self._texture.known or moved_px > TOLD_PX \
-                or np.count_nonzero(fit.quality.side_share > 2.0 * SEEN_SIDE) < SIDES_NEEDED - 1:
+                or np.count_nonzero(fit.judged.side_share > 2.0 * SEEN_SIDE) < SIDES_NEEDED - 1:
             self._texture.forget()
             self._edges_are_weak = False
             return Rejected('neither edges nor print confirm the given corners')
@@ -195,9 +200,10 @@ class Follower:
         for look in (*[self._sharp] * rounds, self._fine):
             if self._box is not None:
                 self._box.learn(fit.edges, fit.weight, fit.strips, self.settings.edge_half_px)
-            fit = look(image, shape_prior(fit.corners, GIVEN_SHAPE_SIGMA_PX))
-            if isinstance(fit, Rejected):
-                return fit
+            again = look(image, shape_prior(fit.corners, GIVEN_SHAPE_SIGMA_PX))
+            if isinstance(again, Rejected):
+                return again
+            fit = again
         return fit
 
     def accept(self, image: np.ndarray, fit: SnakeFit, stamp_s: float) -> None:
@@ -220,7 +226,7 @@ class Follower:
             return  # its edges are too weak to learn from
         if self._accepted <= REFOCUS_FIRST or self._accepted % REFOCUS_EVERY == 0:
             clean = good if fit.edges.second is None else good & fit.edges.single
-            self.blur_px = refocus(fit.scan, fit.corners, clean, self.blur_px)
+            self.blur_px = refocus(required(fit.scan, 'scan'), fit.corners, clean, self.blur_px)
 
     def _locate(self, image: np.ndarray, corners: np.ndarray) -> np.ndarray | None:
         shown = self._locator.locate(image, self._plane.to_image(corners),
@@ -258,7 +264,7 @@ class Follower:
 
     def _doubt(self, fit: SnakeFit, prior: Prior) -> str:
         """Give the reason not to trust a fit, or nothing."""
-        settings, quality = self.settings, fit.quality
+        settings, quality = self.settings, fit.judged
         if abs(quality.contrast) < settings.min_contrast:
             return f'the contrast of the edges is {quality.contrast:.0f} grey levels'
         if quality.inlier_share < settings.min_inlier_share:
