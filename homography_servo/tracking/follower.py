@@ -42,6 +42,7 @@ CLEAR_SIDE = 0.9  # share of its lines that makes a side clear
 CHECK_EVERY = 4  # pictures: the shape of a face all of whose sides are clear
 REMEMBER_EVERY, KEY_EVERY = 5, 12
 CLICK_SIGMA_PX = 1.0  # of corners that a person points at
+NEARBY_PX, APART_PX = 12.0, 4.0  # search for the face beside edges that may not be its own
 TOLD_PX = 4.0  # how far from given corners weak edges may lie
 
 
@@ -250,8 +251,18 @@ class Follower:
         fit = self._sharp(image, prior)
         if isinstance(fit, Rejected):
             return fit
-        doubt = self._doubt(fit, prior)
+        doubt = self._doubt(fit, prior) or self._elsewhere(image, fit)
         return Rejected(doubt) if doubt else fit
+
+    def _elsewhere(self, image: np.ndarray, fit: SnakeFit) -> str:
+        """Compare with how the face looked where a side shows no edge: is it hidden or wrong?"""
+        if self._motion is None or fit.quality.side_share.min() > SEEN_SIDE:
+            return ''
+        corners_px = self._plane.to_image(fit.corners)
+        found_px = self._locator.locate(image, corners_px, NEARBY_PX)
+        if found_px is None or np.abs(found_px - corners_px).max() < APART_PX:
+            return ''
+        return 'the face looks to be beside the edges that were found'
 
     def _sharp(self, image: np.ndarray, prior: Prior) -> SnakeFit | Rejected:
         blur_px = round(50.0 * self.blur_px) / 50.0

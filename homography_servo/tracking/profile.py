@@ -70,7 +70,7 @@ def _counted(count: int) -> np.ndarray:
     return np.arange(count, dtype=np.float32)
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=64)
 def edge_profile(blur_px: float) -> EdgeProfile:
     """Give the profile of a blur; each is tabulated once."""
     return EdgeProfile(blur_px)

@@ -63,8 +63,11 @@ def _masks(small: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
     edges = cv2.Canny(smooth, *CANNY_GREY)
     yield cv2.bitwise_not(edges), 0.5
     yield cv2.bitwise_not(cv2.dilate(edges, np.ones((3, 3), np.uint8))), 1.5
-    for level in _rare_levels(smooth):
+    levels = _rare_levels(smooth)
+    for level in levels[1::2]:
         yield cv2.threshold(smooth, level, 255, cv2.THRESH_BINARY)[1], 0.0
+    for low, high in zip(levels, [*levels[1:], 255]):  # between darker and brighter things
+        yield cv2.inRange(smooth, low + 1, high), 0.0
 
 
 def _rare_levels(smooth: np.ndarray) -> list[int]:

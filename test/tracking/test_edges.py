@@ -32,9 +32,17 @@ def quad(rng, centre=(160.0, 120.0), bend=3.0):
     return SHAPE @ turn.T + centre + rng.uniform(-bend, bend, (4, 2))
 
 
+def blurred_share(corners, blur, fine=4):
+    """Blur finely covered pixels, so that the kernel's few taps are no staircase."""
+    wide = Region(0, 0, 320 * fine, 240 * fine)
+    share = polygon_coverage(fine * (corners + 0.5) - 0.5, wide).astype(np.float32)
+    reach = 2 * int(np.ceil(6.0 * blur * fine)) + 1
+    soft = cv2.GaussianBlur(share, (reach, reach), blur * fine)
+    return cv2.resize(soft, (320, 240), interpolation=cv2.INTER_AREA).astype(float)
+
+
 def picture(corners, rng, noise=5.0, blur=0.8, inside=200.0, outside=75.0):
-    share = polygon_coverage(corners, Region(0, 0, 320, 240))
-    soft = cv2.GaussianBlur(share, (0, 0), blur)
+    soft = blurred_share(corners, blur)
     grey = outside + (inside - outside) * soft + noise * rng.standard_normal(soft.shape)
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
 
@@ -117,8 +125,7 @@ def test_corners_come_close_to_the_cramer_rao_bound(noise):
 def bound_px2(corners, noise, step=0.05, blur=0.8):
     """Give the mean variance of a corner coordinate that no unbiased method can beat."""
     def clean(places):
-        return cv2.GaussianBlur(125.0 * polygon_coverage(places, Region(0, 0, 320, 240)),
-                                (0, 0), blur)
+        return 125.0 * blurred_share(places, blur)
     rows = []
     for number in range(8):
         shift = np.zeros(8)
