@@ -255,7 +255,7 @@ class Follower:
         return Rejected(doubt) if doubt else fit
 
     def _elsewhere(self, image: np.ndarray, fit: SnakeFit) -> str:
-        """Compare with how the face looked where a side shows no edge: is it hidden or wrong?"""
+        """Compare with how the face looked where a side shows no edge; it may be hidden."""
         if self._motion is None or fit.quality.side_share.min() > SEEN_SIDE:
             return ''
         corners_px = self._plane.to_image(fit.corners)
