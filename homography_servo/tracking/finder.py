@@ -209,12 +209,12 @@ def examine(image: np.ndarray, quad: np.ndarray, target: Target, plane: Plane,
                     target.polarity)
     if isinstance(fit, Rejected):
         return fit
-    quality = fit.quality
+    quality = fit.judged
     if quality.inlier_share < 0.55 or quality.side_share.min() < 0.15:
         return Rejected('the edges do not support the quadrilateral')
     pose, miss_px, turns = best_pose(fit.corners, target.face_size_m, plane)
     allowed_px = 0.4 + (0.03 if target.guessed_lens else 0.01) * _size(fit.corners)
-    if miss_px > allowed_px:
+    if pose is None or miss_px > allowed_px:
         return Rejected('the proportions are not those of the face')
     cosine = abs(float(pose.rotation[:, 2] @ pose.translation)) \
         / float(np.linalg.norm(pose.translation))
@@ -245,7 +245,9 @@ def best_pose(quad: np.ndarray, face_size_m: tuple[float, float], plane: Plane
     points_m, rays = face_corners(*face_size_m), plane.rays(quad)
     rough = [pose_of_face(points_m, np.roll(rays, -turn, axis=0), None, 0) for turn in (0, 1)]
     better = int(_missed(rough[1], plane) < _missed(rough[0], plane))
-    pose = rough[better] and pose_of_face(points_m, np.roll(rays, -better, axis=0), rough[better])
+    pose = rough[better]
+    if not isinstance(pose, Rejected):
+        pose = pose_of_face(points_m, np.roll(rays, -better, axis=0), pose)
     turns = [better, better + 2]
     if abs(face_size_m[0] / face_size_m[1] - 1.0) < 0.02:
         turns = [0, 1, 2, 3]

@@ -256,7 +256,7 @@ class Follower:
 
     def _elsewhere(self, image: np.ndarray, fit: SnakeFit) -> str:
         """Compare with how the face looked where a side shows no edge; it may be hidden."""
-        if self._motion is None or fit.quality.side_share.min() > SEEN_SIDE:
+        if self._motion is None or fit.judged.side_share.min() > SEEN_SIDE:
             return ''
         corners_px = self._plane.to_image(fit.corners)
         found_px = self._locator.locate(image, corners_px, NEARBY_PX)
