@@ -95,6 +95,7 @@ class CameraSim(NodeKit, Node):
 
     NAME = 'camera_sim'
     SETTINGS = (CameraSimSettings, ArmErrors, SceneSettings)
+    CARRIES_IMAGES = True
     EXAMPLE = 'ros2 run homography_servo camera_sim --ros-args -p noise_grey:=5.0'
 
     def __init__(self, **kwargs) -> None:

@@ -65,6 +65,7 @@ class Dashboard(NodeKit, Node):
 
     NAME = 'dashboard'
     SETTINGS = (DashboardSettings,)
+    CARRIES_IMAGES = True
     EXAMPLE = 'ros2 run homography_servo dashboard --ros-args -p port:=8088'
 
     def __init__(self, **kwargs) -> None:

@@ -58,11 +58,12 @@ class NodeKit:
     """
     Mixed into a node class; call `start_kit` at the end of ``__init__``.
 
-    A subclass sets ``NAME``, ``SETTINGS`` (settings classes) and ``EXAMPLE``, and
-    may override `diagnose`, `on_fault`, `on_signal` and `close`.
+    A subclass sets ``NAME``, ``SETTINGS`` (settings classes) and ``EXAMPLE``, maybe
+    ``CARRIES_IMAGES``, and may override `diagnose`, `on_fault`, `on_signal` and `close`.
     """
 
     NAME = ''
+    CARRIES_IMAGES = False  # over shared memory; all else goes by UDP
     SETTINGS: tuple = ()
     exit_code: int | None = None
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-import os
 import sys
 import time
 from typing import Any, Callable
@@ -53,7 +52,6 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 STATE_RATE_HZ = 50.0
-DDS_PROFILE = 'fastdds_commands.xml'
 TWO_COMMAND = 'two publishers command at the same time'
 
 
@@ -334,6 +332,4 @@ def main(args=None) -> int:
     """Run the node."""
     # The thread of the port must not wait 5 ms for the one that takes messages.
     sys.setswitchinterval(0.0005)
-    # A flood must not crowd out a stop in the middleware either; a profile of yours wins.
-    os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(find_config(DDS_PROFILE)))
     return run_node(RobixBridge, args)

@@ -21,6 +21,7 @@ from homography_servo.errors import HardwareError
 from homography_servo.errors import ServoError
 from homography_servo.nodes.executor import executor_for
 from homography_servo.nodes.help import help_text
+from homography_servo.places import find_config
 import rclpy
 from rclpy.exceptions import InvalidParameterException
 from rclpy.exceptions import InvalidParameterTypeException
@@ -52,6 +53,12 @@ def tune_threads() -> None:
     opencv = sys.modules.get('cv2')
     if opencv is not None:
         opencv.setNumThreads(1)
+
+
+def choose_transport(carries_images: bool) -> None:
+    """Point Fast DDS to the profile for the kind of node, unless there is one of yours."""
+    profile = 'fastdds_images.xml' if carries_images else 'fastdds_commands.xml'
+    os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(find_config(profile)))
 
 
 class SignalWatch:
@@ -104,6 +111,7 @@ def run_node(node_type: type, args: Sequence[str] | None = None) -> int:
         return EXIT_OK
     tune_allocator()
     tune_threads()
+    choose_transport(node_type.CARRIES_IMAGES)
     watch = SignalWatch()
     try:
         rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)

@@ -69,6 +69,7 @@ class SnakeTracker(NodeKit, Node):
 
     NAME = 'snake_tracker'
     SETTINGS = (SnakeTrackerSettings, TrackerSettings)
+    CARRIES_IMAGES = True
     EXAMPLE = ('ros2 run homography_servo snake_tracker --ros-args -r image:=camera/image_raw '
                '-p face_size_m:="[0.10, 0.06]"')
 

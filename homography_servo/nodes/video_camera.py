@@ -67,6 +67,7 @@ class VideoCamera(NodeKit, Node):
 
     NAME = 'video_camera'
     SETTINGS = (VideoCameraSettings,)
+    CARRIES_IMAGES = True
     EXAMPLE = 'ros2 run homography_servo video_camera --ros-args -p source:=box.mp4 -p loop:=true'
 
     def __init__(self, **kwargs) -> None:
