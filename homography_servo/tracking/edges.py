@@ -69,6 +69,12 @@ class SecondEdge(NamedTuple):
     level_pull: np.ndarray  # the strip's grey level: right-hand side
     level_own: np.ndarray  # and information, both times the noise variance
 
+    def in_plane(self, scale: np.ndarray) -> SecondEdge:
+        """Count widths in units of the plane; scale is in image pixels per unit (s,)."""
+        square = scale * scale
+        return self._replace(mixed=square * self.mixed, own=square * self.own,
+                             pull=scale * self.pull)
+
 
 def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
                   strips: Strips | None = None, known: Known | None = None,
@@ -122,6 +128,8 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
     if back is not None:
         second = _second(scan, back, share, slope, levels.outside, contrast,
                          residual / levels.kept)
+        if scale is not None:
+            second = second.in_plane(scale.take(layout.first_line.take(second.segment)))
     return Edges(side, sums.slope_along / np.maximum(sums.slope_slope, 1e-9),
                  geometry.normal.take(side, axis=1), inward, variance,
                  contrast, levels.outside, residual, layout.lines, known, common, second)

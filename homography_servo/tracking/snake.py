@@ -131,7 +131,10 @@ def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = I
         usable = _usable(edges, profile.sigma_px, polarity)
         if np.count_nonzero(usable) < look.least:
             return Rejected(f'only {np.count_nonzero(usable)} segments show an edge')
-        fit = fit_polygon(edges, corners, usable, prior, look, iteration == 0, strips)
+        moved = fit_polygon(edges, corners, usable, prior, look, iteration == 0, strips)
+        if isinstance(moved, Rejected):
+            return moved
+        fit = moved
         if not sound(fit.corners):
             return Rejected('the polygon folded')
         corners, far_px = fit.corners, far_px + fit.moved_px
@@ -146,7 +149,8 @@ def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = I
 
 
 def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Prior | None,
-                look: Look, first: bool = True, strips: Strips | None = None) -> SnakeFit:
+                look: Look, first: bool = True,
+                strips: Strips | None = None) -> SnakeFit | Rejected:
     """
     Move the corners to where most segments agree.
 
@@ -169,7 +173,7 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
 
     Returns
     -------
-    SnakeFit
+    SnakeFit or Rejected
 
     """
     rows, inward = polygon_rows(edges, len(corners)), edges.inward
@@ -192,7 +196,9 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
         if edges.second is not None and strips is not None:
             _add_widths(information, target, edges, edges.second, strips, rows,
                         weight * precision * edges.variance)
-        covariance = cv2.invert(information, flags=cv2.DECOMP_CHOLESKY)[1]
+        determined, covariance = cv2.invert(information, flags=cv2.DECOMP_CHOLESKY)
+        if not determined:
+            return Rejected('the edges do not determine the corners')
         shift = covariance @ target
         miss = inward - shift @ rows
     return SnakeFit(corners + shift.reshape(corners.shape), covariance, edges, weight * usable,

@@ -129,6 +129,16 @@ def test_stated_covariance_fits_the_errors():
     assert 0.6 < np.std(pulls) < 1.4
 
 
+def test_a_box_behind_a_bent_lens_has_a_sound_covariance():
+    show = Show(SceneSettings(noise_grey=5.0, shadow=0.5), 0.04, BENT, motion=lambda index: swing(
+        2 * index, 35.0, 40.0))
+    show.run(60)
+    assert show.errors().max() < 1.0
+    for track in show.tracks:
+        if track.covariance_px2 is not None:
+            assert np.linalg.eigvalsh(track.covariance_px2).min() > 0.0
+
+
 def test_contour_runs_through_the_corners():
     show = Show()
     show.run(2)
