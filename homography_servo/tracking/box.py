@@ -14,8 +14,8 @@ from homography_servo.tracking.face_pose import project
 from homography_servo.tracking.face_pose import projection_jacobian
 from homography_servo.tracking.levels import middle
 from homography_servo.tracking.plane import Plane
+from homography_servo.tracking.polygon_fit import Prior
 from homography_servo.tracking.scan import side_geometry
-from homography_servo.tracking.snake import Prior
 from homography_servo.tracking.strips import NARROWEST_PX
 from homography_servo.tracking.strips import Strips
 import numpy as np

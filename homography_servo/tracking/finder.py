@@ -13,63 +13,27 @@ points most to the right (gamma closest to 0).
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 from homography_servo.geometry.camera import Camera
-from homography_servo.geometry.face import face_corners
 from homography_servo.result import Rejected
-from homography_servo.tracking.box import BoxSides
-from homography_servo.tracking.box import Outline
-from homography_servo.tracking.face_pose import FacePose
-from homography_servo.tracking.face_pose import pose_of_face
+from homography_servo.tracking.examine import AWAY_PX
+from homography_servo.tracking.examine import CLEAR_GREY
+from homography_servo.tracking.examine import EVEN_GREY
+from homography_servo.tracking.examine import examine
+from homography_servo.tracking.examine import Found
+from homography_servo.tracking.examine import LEAST_SCORE
+from homography_servo.tracking.examine import STEEPEST
+from homography_servo.tracking.examine import Target
 from homography_servo.tracking.plane import Plane
-from homography_servo.tracking.quads import grey_at
 from homography_servo.tracking.quads import list_quads
 from homography_servo.tracking.quads import side_contrast
-from homography_servo.tracking.snake import fit_snake
-from homography_servo.tracking.snake import Look
-from homography_servo.tracking.snake import Quality
-from homography_servo.tracking.snake import SnakeFit
 import numpy as np
 
 LENS_GUESS = 1.2  # focal length over image width of a camera nobody calibrated
 SLACK = 1.5  # for distances measured with it
-STEEPEST = 0.35  # cosine of the largest tilt
 LOOKED_AT = 16  # candidates fitted at most
-LEAST_SCORE = 0.47
 CONVINCING = 0.7  # score that ends the search
-LIKELY_MISS = 0.6  # of the miss of the proportions that is allowed
-FULL_GREY = 50.0  # contrast from which on more is not better
-NO_SIDES_SEEN = 0.65  # evidence where no side of the box can be in view
-CLEAR_GREY = 10.0  # contrast that is no noise
-EVEN_GREY = 12.0  # differences that a face of one colour may show
 MOST_SKEW, MOST_STRETCH = 0.55, 0.55  # of a candidate: cosine, log of the aspect
 SAME_PX = 3.0
-AWAY_PX = 4.0  # distance from a side at which grey levels are compared
-STRIP_SAMPLES = np.linspace(0.15, 0.85, 7)
-WIDE = Look(1.5, 7, 3, 3, 3, 6.0, 0.5, 1.5)
-ROUGH_PX, ROUGH_SHARE = 3.0, 0.05  # RMS error of a candidate's corners, and of its size
-
-
-class Target(NamedTuple):
-    """What is looked for."""
-
-    face_size_m: tuple[float, float]
-    box_height_m: float
-    nearest_m: float
-    farthest_m: float
-    polarity: int  # 1 bright face, -1 dark face, 0 unknown
-    blur_px: float
-    guessed_lens: bool = False
-
-
-class Found(NamedTuple):
-    """A face that was found."""
-
-    fit: SnakeFit
-    quality: Quality
-    score: float  # 0..1
-    shape_miss_px: float  # RMS of the corners about the nearest rectangle's projection
 
 
 def find_face(image: np.ndarray, target: Target, plane: Plane,
@@ -193,138 +157,3 @@ def _typical_plane(shape: tuple[int, ...]) -> Plane:
     height, width = shape
     focal = LENS_GUESS * max(width, height)
     return Plane(Camera(focal, focal, 0.5 * (width - 1), 0.5 * (height - 1), width, height))
-
-
-def examine(image: np.ndarray, quad: np.ndarray, target: Target, plane: Plane,
-            expected: np.ndarray | None = None) -> Found | Rejected:
-    """Fit a candidate and check that it can be the face."""
-    if best_pose(quad, target.face_size_m, plane)[1] > ROUGH_PX + ROUGH_SHARE * _size(quad):
-        return Rejected('the proportions are not those of the face')
-    fit = fit_snake(image, quad, WIDE, plane, None, target.polarity)
-    if isinstance(fit, Rejected):
-        return fit
-    if best_pose(fit.corners, target.face_size_m, plane)[1] > 2.0 + 0.03 * _size(fit.corners):
-        return Rejected('the proportions are not those of the face')
-    fit = fit_snake(image, fit.corners, Look(target.blur_px, 5, iterations=3), plane, None,
-                    target.polarity)
-    if isinstance(fit, Rejected):
-        return fit
-    quality = fit.judged
-    if quality.inlier_share < 0.55 or quality.side_share.min() < 0.15:
-        return Rejected('the edges do not support the quadrilateral')
-    pose, miss_px, turns = best_pose(fit.corners, target.face_size_m, plane)
-    allowed_px = 0.4 + (0.03 if target.guessed_lens else 0.01) * _size(fit.corners)
-    if pose is None or miss_px > allowed_px:
-        return Rejected('the proportions are not those of the face')
-    cosine = abs(float(pose.rotation[:, 2] @ pose.translation)) \
-        / float(np.linalg.norm(pose.translation))
-    if not target.nearest_m < pose.translation[2] < target.farthest_m or cosine < STEEPEST:
-        return Rejected('the face would be out of reach')
-    turn = min(turns, key=lambda number: _turn_cost(fit.corners, number, expected))
-    score = quality.inlier_share * quality.side_share.min() ** 0.25 \
-        * float(np.exp(-miss_px / (LIKELY_MISS * allowed_px))) * _evenness(fit) \
-        * min(abs(quality.contrast) / FULL_GREY, 1.0) ** 0.5
-    if score < LEAST_SCORE:  # looking at the sides of the box takes time
-        return Rejected('the edges, the evenness and the proportions are not those of the face')
-    score *= _box_evidence(image, fit.corners, turns[0], target, plane)
-    return Found(turned_fit(fit, turn), quality, float(score), miss_px)
-
-
-def best_pose(quad: np.ndarray, face_size_m: tuple[float, float], plane: Plane
-              ) -> tuple[FacePose | None, float, list[int]]:
-    """
-    Fit the pose of the face to a quadrilateral in the turns that its proportions allow.
-
-    Returns
-    -------
-    FacePose or None, float, list of int
-        The better one, the RMS distance of the corners from its projection [px], and
-        by how many places the corners may be rolled.
-
-    """
-    points_m, rays = face_corners(*face_size_m), plane.rays(quad)
-    rough = [pose_of_face(points_m, np.roll(rays, -turn, axis=0), None, 0) for turn in (0, 1)]
-    better = int(_missed(rough[1], plane) < _missed(rough[0], plane))
-    pose = rough[better]
-    if not isinstance(pose, Rejected):
-        pose = pose_of_face(points_m, np.roll(rays, -better, axis=0), pose)
-    turns = [better, better + 2]
-    if abs(face_size_m[0] / face_size_m[1] - 1.0) < 0.02:
-        turns = [0, 1, 2, 3]
-    return (None if isinstance(pose, Rejected) else pose), _missed(pose, plane), turns
-
-
-def _missed(pose: FacePose | Rejected, plane: Plane) -> float:
-    """Give the RMS distance of the corners from the projected face [px]."""
-    if isinstance(pose, Rejected):
-        return np.inf
-    return float(plane.focal.mean() * np.sqrt(np.mean(pose.miss ** 2)))
-
-
-def _size(quad: np.ndarray) -> float:
-    across, down = quad[1] - quad[0], quad[3] - quad[0]
-    return float(np.sqrt(np.abs(across[0] * down[1] - across[1] * down[0])))
-
-
-def _evenness(fit: SnakeFit) -> float:
-    """Rate how alike the sides look from inside, 0 to 1."""
-    edges, good = fit.edges, fit.weight > 0.1
-    inside = edges.outside + edges.contrast
-    levels = [np.median(inside[good & (edges.side == side)])
-              for side in range(4) if (good & (edges.side == side)).any()]
-    scale = np.abs(edges.contrast[good]).mean() + CLEAR_GREY
-    return float(np.exp(-np.std(levels) / scale))
-
-
-def _box_evidence(image: np.ndarray, corners: np.ndarray, turn: int, target: Target,
-                  plane: Plane) -> float:
-    """Rate whether the sides of the box show where they must, 0.4 to 1."""
-    if target.box_height_m <= 0.0:
-        return 1.0
-    outline = BoxSides(target.face_size_m, target.box_height_m, plane).outline(
-        np.roll(corners, -turn, axis=0))
-    if isinstance(outline, Rejected):
-        return 0.4
-    seen = [_strip_shows(image, np.roll(corners, -turn, axis=0), outline, side, plane)
-            for side in range(4) if outline.width[side].mean() > 4.0]
-    return 0.4 + 0.6 * float(np.mean(seen)) if seen else NO_SIDES_SEEN
-
-
-def _strip_shows(image: np.ndarray, corners: np.ndarray, outline: Outline, side: int,
-                 plane: Plane) -> float:
-    """Compare the grey levels of a strip with those of the face and of what is behind."""
-    first, second = corners[side], corners[(side + 1) % 4]
-    along = second - first
-    outward = np.array([along[1], -along[0]]) / np.linalg.norm(along)
-    share = STRIP_SAMPLES[:, None]
-    reach = outline.reach[side, 0] + share * (outline.reach[side, 1] - outline.reach[side, 0])
-    width = outline.width[side, 0] + share * (outline.width[side, 1] - outline.width[side, 0])
-    at = first + reach * along
-    face, strip, near, behind = (
-        grey_at(image, plane.to_image(at + away * outward))
-        for away in (-AWAY_PX, 0.5 * width, width - 2.0, width + 3.0))
-    common = np.median(np.concatenate([strip, near]))
-    even = (np.abs(np.concatenate([strip, near]) - common) < EVEN_GREY).mean()
-    ends = np.minimum(np.abs(behind - common) / CLEAR_GREY, 1.0).mean()
-    apart = (np.abs(face - strip) > CLEAR_GREY).mean()
-    return float(even ** 2 * ends * apart)
-
-
-def _turn_cost(quad: np.ndarray, turn: int, expected: np.ndarray | None) -> float:
-    corners = np.roll(quad, -turn, axis=0)
-    if expected is not None:
-        away = (corners - corners.mean(axis=0)) - (expected - expected.mean(axis=0))
-        return float(np.abs(away).sum())
-    top = corners[1] - corners[0] + corners[2] - corners[3]
-    return abs(float(np.arctan2(top[1], top[0])))
-
-
-def turned_fit(fit: SnakeFit, turn: int) -> SnakeFit:
-    """Begin the corners of a fit with another one."""
-    if turn == 0:
-        return fit
-    order = np.roll(np.arange(4), -turn)
-    both = (2 * order[:, None] + np.arange(2)).ravel()
-    edges = fit.edges._replace(side=(fit.edges.side - turn) % 4)
-    return fit._replace(corners=fit.corners[order], covariance=fit.covariance[np.ix_(both, both)],
-                        edges=edges)

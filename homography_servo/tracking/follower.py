@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from homography_servo.geometry.face import face_corners
 from homography_servo.result import Rejected
 from homography_servo.result import required
 from homography_servo.tracking.box import BoxSides
-from homography_servo.tracking.face_pose import FacePose
-from homography_servo.tracking.face_pose import next_pose
-from homography_servo.tracking.face_pose import pose_of_face
+from homography_servo.tracking.doubts import FaceCheck
+from homography_servo.tracking.doubts import SEEN_SIDE
+from homography_servo.tracking.doubts import SIDES_NEEDED
+from homography_servo.tracking.doubts import surprise
+from homography_servo.tracking.doubts import weak_support
 from homography_servo.tracking.focus import first_focus
 from homography_servo.tracking.focus import refocus
 from homography_servo.tracking.levels import LevelMemory
@@ -16,14 +17,13 @@ from homography_servo.tracking.locate import Locator
 from homography_servo.tracking.motion import both
 from homography_servo.tracking.motion import Motion
 from homography_servo.tracking.motion import shape_prior
-from homography_servo.tracking.motion import similarity_basis
 from homography_servo.tracking.plane import Plane
+from homography_servo.tracking.polygon_fit import Look
+from homography_servo.tracking.polygon_fit import Prior
+from homography_servo.tracking.polygon_fit import SnakeFit
 from homography_servo.tracking.scan import read_scan
 from homography_servo.tracking.snake import fit_snake
 from homography_servo.tracking.snake import INLIER_WEIGHT
-from homography_servo.tracking.snake import Look
-from homography_servo.tracking.snake import Prior
-from homography_servo.tracking.snake import SnakeFit
 from homography_servo.tracking.texture import FaceTexture
 from homography_servo.tracking.tracker_settings import POLARITIES
 from homography_servo.tracking.tracker_settings import TrackerSettings
@@ -31,12 +31,8 @@ import numpy as np
 
 WIDE = (Look(4.0, 12, 3, 3, 3, 2.0, 1.0, 2.0), Look(2.0, 8, 3, 3, 3, 2.0, 0.5, 1.0))
 MEDIUM = WIDE[1:]
-SEEN_SIDE = 0.3  # share of its lines that makes a side seen
-SIDES_NEEDED = 3
 GIVEN_SHAPE_SIGMA_PX = 4.0
-OTHER_SIZE = 0.25  # relative change of size from one picture to the next
 FOCUS_HALF = 8  # pixels around the edges for a first look at the blur
-SETTLED_PX = 0.5  # largest last step of a fit that has found its place
 REFOCUS_EVERY, REFOCUS_FIRST = 10, 10  # pictures
 CLEAR_SIDE = 0.9  # share of its lines that makes a side clear
 CHECK_EVERY = 4  # pictures: the shape of a face all of whose sides are clear
@@ -73,8 +69,7 @@ class Follower:
         self._locator, self._texture = Locator(), FaceTexture()
         self._edges_are_weak = False
         self._accepted = 0
-        self._points_m = face_corners(*face_size_m)
-        self._pose: FacePose | None = None
+        self._face = FaceCheck(face_size_m, plane)
         self.forget()
 
     @property
@@ -189,7 +184,8 @@ class Follower:
                         POLARITIES[self.settings.polarity])
         if isinstance(fit, Rejected):
             return fit
-        doubt = self._surprise(fit, expected) or self._not_the_face(fit)
+        doubt = surprise(fit, expected, self.settings, self.following) \
+            or self._face.doubt(fit.corners, self.settings)
         return Rejected(doubt) if doubt else fit._replace(by_print=True)
 
     def settle(self, image: np.ndarray, fit: SnakeFit) -> SnakeFit | Rejected:
@@ -251,7 +247,11 @@ class Follower:
         fit = self._sharp(image, prior)
         if isinstance(fit, Rejected):
             return fit
-        doubt = self._doubt(fit, prior) or self._elsewhere(image, fit)
+        settings, following = self.settings, self.following
+        doubt = weak_support(fit, settings) or surprise(fit, prior, settings, following)
+        if not doubt and (fit.judged.side_share.min() <= CLEAR_SIDE
+                          or self._accepted % CHECK_EVERY == 0):
+            doubt = self._face.doubt(fit.corners, settings) or self._elsewhere(image, fit)
         return Rejected(doubt) if doubt else fit
 
     def _elsewhere(self, image: np.ndarray, fit: SnakeFit) -> str:
@@ -272,55 +272,3 @@ class Follower:
         return fit_snake(image, prior.corners, Look(blur_px, half), self._plane, held,
                          POLARITIES[self.settings.polarity], strips,
                          None if self._motion is None else self._memory)
-
-    def _doubt(self, fit: SnakeFit, prior: Prior) -> str:
-        """Give the reason not to trust a fit, or nothing."""
-        settings, quality = self.settings, fit.judged
-        if abs(quality.contrast) < settings.min_contrast:
-            return f'the contrast of the edges is {quality.contrast:.0f} grey levels'
-        if quality.inlier_share < settings.min_inlier_share:
-            return f'only {quality.inlier_share:.0%} of the lines agree'
-        if np.count_nonzero(quality.side_share > SEEN_SIDE) < SIDES_NEEDED:
-            return 'fewer than three sides are visible'
-        sigma_px = max(fit.covariance.diagonal().tolist()) ** 0.5
-        if fit.moved_px > SETTLED_PX:
-            return f'the fit has not settled: it moves by {fit.moved_px:.1f} px'
-        if sigma_px > settings.max_corner_sigma_px:
-            return f'a corner is uncertain by {sigma_px:.2f} px'
-        surprise = self._surprise(fit, prior)
-        clear = quality.side_share.min() > CLEAR_SIDE and self._accepted % CHECK_EVERY
-        return surprise or ('' if clear else self._not_the_face(fit))
-
-    def _not_the_face(self, fit: SnakeFit) -> str:
-        """Check that the corners are the projection of the rectangle."""
-        if self._plane.camera is None:
-            return ''
-        rays = self._plane.rays(fit.corners)
-        pose = pose_of_face(self._points_m, rays) if self._pose is None \
-            else next_pose(self._points_m, rays, self._pose)
-        if isinstance(pose, Rejected):
-            self._pose = None
-            return pose.reason
-        miss_px = float(self._plane.focal.mean() * np.sqrt(np.mean(pose.miss ** 2)))
-        if miss_px > self.settings.max_shape_miss_px:
-            self._pose = None
-            return f'the corners miss a view of the face by {miss_px:.1f} px'
-        self._pose = pose
-        return ''
-
-    def _surprise(self, fit: SnakeFit, prior: Prior) -> str:
-        """Compare a fit with what was expected."""
-        move = (fit.corners - prior.corners).ravel()
-        free = similarity_basis(prior.corners) if prior.free is None else prior.free
-        common = move @ free
-        bend_px = max(np.abs(move - free @ common).tolist())
-        if bend_px > self.settings.max_jump_px:
-            return f'the shape changed by {bend_px:.1f} px at once'
-        if self._motion is None:
-            return ''
-        right, down, larger, _ = common.tolist()
-        if abs(larger) > OTHER_SIZE * abs(float(free[:, 2] @ prior.corners.ravel())):
-            return 'the size changed at once'
-        if max(abs(right), abs(down)) > 2.0 * self.settings.search_px:
-            return 'the face jumped'
-        return ''

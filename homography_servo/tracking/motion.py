@@ -6,7 +6,7 @@ from functools import lru_cache
 import math
 
 from homography_servo.result import required
-from homography_servo.tracking.snake import Prior
+from homography_servo.tracking.polygon_fit import Prior
 import numpy as np
 
 FREE_SIGMA_PX = 1e3  # common shift, turn and scale are left to the picture

@@ -2,88 +2,30 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 import math
-from typing import NamedTuple
 
-import cv2
 from homography_servo.result import Rejected
-from homography_servo.result import required
 from homography_servo.tracking.edges import Edges
 from homography_servo.tracking.edges import measure_edges
-from homography_servo.tracking.edges import SecondEdge
 from homography_servo.tracking.levels import LevelMemory
 from homography_servo.tracking.levels import middle
 from homography_servo.tracking.plane import Plane
+from homography_servo.tracking.polygon_fit import fit_polygon
+from homography_servo.tracking.polygon_fit import Look
+from homography_servo.tracking.polygon_fit import noise_of
+from homography_servo.tracking.polygon_fit import Prior
+from homography_servo.tracking.polygon_fit import Quality
+from homography_servo.tracking.polygon_fit import SnakeFit
 from homography_servo.tracking.profile import edge_profile
 from homography_servo.tracking.scan import read_scan
 from homography_servo.tracking.scan import Scan
 from homography_servo.tracking.strips import Strips
 import numpy as np
 
-MODEL_ERROR_PX = 0.005  # straightness of a printed or cut edge, over one segment
-NOISE_FLOOR = 0.3  # mean squared grey level; rounding alone gives 1/12
-ROBUST_SIGMAS = 4.0  # where Tukey's weight ends
-ODD_RESIDUAL, ODD_POWER = 1.6, 2.0  # mean square over the noise's that noise cannot explain
 INLIER_WEIGHT = 0.1
 MOST_DONE_PX = 0.3
 SAME_LEVELS_PX = 0.03  # all sides in or out by less: grey levels need no second look
-NARROW_PX = 0.6  # scatter up to which outliers show without a vote
 IMAGE_PLANE = Plane(None)
-
-
-class Prior(NamedTuple):
-    """Where the corners are expected, and how sure that is."""
-
-    corners: np.ndarray  # (m, 2) [px]
-    information: np.ndarray  # (2m, 2m) [1/px^2]
-    free: np.ndarray | None = None  # (2m, 4) orthonormal columns that are left free
-
-
-class Look(NamedTuple):
-    """One way of looking for the edges."""
-
-    blur_px: float  # expected blur
-    half: int  # pixels on either side of the edge
-    stride: int = 1  # distance of the scan lines [px]
-    lines: int = 6  # scan lines per segment
-    iterations: int = 5  # linear steps at most
-    done_sigmas: float = 15.0  # a step smaller than so many corner sigmas is the last one
-    sure_px: float = 0.15  # scatter between segments that is not surprising
-    first_sure_px: float = 0.6  # the same in the first round
-    least: int = 8  # segments that must show an edge
-
-
-class Quality(NamedTuple):
-    """How well the edges support a shape."""
-
-    inlier_share: float  # of all lines
-    side_share: np.ndarray  # (m,) of the lines of each side
-    contrast: float  # median of inside minus outside over the inliers, grey levels
-    residual: float  # RMS distance of the inliers from the shape [px]
-    noise: float  # pixel noise found, grey levels
-    inside: float  # median grey level inside
-
-
-class SnakeFit(NamedTuple):
-    """Corners, how sure they are, and why."""
-
-    corners: np.ndarray  # (m, 2) [px]
-    covariance: np.ndarray  # (2m, 2m) [px^2]
-    edges: Edges
-    weight: np.ndarray  # (s,) 0 outlier .. 1 inlier
-    miss: np.ndarray  # (s,) distance of the segments from the shape [px]
-    step: np.ndarray  # (2m,) last move of the corners
-    moved_px: float  # its largest component
-    quality: Quality | None = None
-    scan: Scan | None = None  # the pixels it was fitted to
-    strips: Strips | None = None  # the sides of the box that were expected
-    by_print: bool = False  # whether the print on the face was needed
-
-    @property
-    def judged(self) -> Quality:
-        """Give the quality, which every fit has that `fit_snake` gives."""
-        return required(self.quality, 'quality of the fit')
 
 
 def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = IMAGE_PLANE,
@@ -146,121 +88,6 @@ def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = I
         if strips is not None:
             strips = strips._replace(width=strips.width + strips.rows @ fit.step)
     return fit._replace(quality=quality_of(fit), scan=scan, strips=strips)
-
-
-def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Prior | None,
-                look: Look, first: bool = True,
-                strips: Strips | None = None) -> SnakeFit | Rejected:
-    """
-    Move the corners to where most segments agree.
-
-    Parameters
-    ----------
-    edges : Edges
-        Measured around `corners`.
-    corners : (m, 2) array
-        Where the corners were expected.
-    usable : (s,) bool array
-        Segments that may take part.
-    prior : Prior or None
-        Holds what no segment measures.
-    look : Look
-        Says what scatter is no surprise.
-    first : bool
-        Whether nothing has been fitted in this picture yet.
-    strips : Strips or None
-        Sides of a box; their widths were measured too.
-
-    Returns
-    -------
-    SnakeFit or Rejected
-
-    """
-    rows, inward = polygon_rows(edges, len(corners)), edges.inward
-    variance = edges.variance * _excess(edges)
-    variance += MODEL_ERROR_PX ** 2
-    if edges.second is not None and strips is not None:
-        variance += strips.doubt(edges.side, edges.along)
-    precision = usable / variance
-    held, pull = _held(prior, corners)
-    miss = inward
-    if first and look.first_sure_px > NARROW_PX:  # the mean of a side would follow outliers
-        miss = inward - _side_middles(inward, edges.side, usable, len(corners))
-    for sure_px in (look.first_sure_px if first else look.sure_px, look.sure_px):
-        spread = variance + sure_px * sure_px
-        weight = 1.0 - miss * miss / (ROBUST_SIGMAS ** 2 * spread)
-        np.maximum(weight, 0.0, out=weight)
-        weight *= weight
-        weighted = rows * (precision * weight)
-        information, target = weighted @ rows.T + held, weighted @ inward + pull
-        if edges.second is not None and strips is not None:
-            _add_widths(information, target, edges, edges.second, strips, rows,
-                        weight * precision * edges.variance)
-        determined, covariance = cv2.invert(information, flags=cv2.DECOMP_CHOLESKY)
-        if not determined:
-            return Rejected('the edges do not determine the corners')
-        shift = covariance @ target
-        miss = inward - shift @ rows
-    return SnakeFit(corners + shift.reshape(corners.shape), covariance, edges, weight * usable,
-                    miss, shift, float(np.maximum.reduce(np.abs(shift))))
-
-
-def _excess(edges: Edges) -> np.ndarray:
-    """
-    Say by what to multiply the variances that the segments' own residuals give.
-
-    A lucky residual does not make a segment surer; one that noise cannot explain has
-    something else in it, which shifts the edge by more than its noise tells.
-    """
-    ratio = edges.residual / noise_of(edges)
-    return np.maximum(np.maximum(1.0 / ratio, 1.0), (ratio / ODD_RESIDUAL) ** ODD_POWER)
-
-
-def polygon_rows(edges: Edges, corner_count: int) -> np.ndarray:
-    """Say how each segment's inward offset follows from moves of the corners: (2 m, s)."""
-    own, change = _ends(corner_count)
-    share = own.take(edges.side, axis=1)  # of each corner in a segment's place
-    share += change.take(edges.side, axis=1) * edges.along
-    return (share[:, None] * edges.normal).reshape(2 * corner_count, -1)
-
-
-@lru_cache(maxsize=8)
-def _ends(corner_count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Give the share of each corner in the start of each side, and its change to the end."""
-    start = np.eye(corner_count)
-    return start, np.roll(start, 1, axis=0) - start
-
-
-def _add_widths(information: np.ndarray, target: np.ndarray, edges: Edges,
-                second: SecondEdge, strips: Strips, rows: np.ndarray,
-                weight: np.ndarray) -> None:
-    """Add what the strips' widths say about the corners to the normal equations."""
-    own = strips.rows_at(edges.side[second.segment], edges.along[second.segment])
-    weight = weight[second.segment]
-    mixed = rows[:, second.segment] @ (own * (weight * second.mixed)[:, None])
-    information += mixed + mixed.T + own.T @ (own * (weight * second.own)[:, None])
-    target += own.T @ (weight * second.pull)
-
-
-def _held(prior: Prior | None, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    if prior is None:
-        return 1e-9 * np.eye(corners.size), np.zeros(corners.size)
-    return prior.information, prior.information @ (prior.corners - corners).ravel()
-
-
-def _side_middles(votes: np.ndarray, side: np.ndarray, usable: np.ndarray,
-                  count: int) -> np.ndarray:
-    """Give each segment the median of its side."""
-    order = np.lexsort((votes, ~usable, side))  # usable ones first on each side
-    voters = np.bincount(side, usable, count).astype(np.intp)
-    before = np.searchsorted(side, np.arange(count))
-    chosen = order.take(np.minimum(before + voters // 2, len(order) - 1))
-    return np.where(voters > 0, votes.take(chosen), 0.0).take(side)
-
-
-def noise_of(edges: Edges) -> float:
-    """Estimate the variance of the pixel noise from the quieter segments."""
-    return max(middle(edges.residual), NOISE_FLOOR)
 
 
 def _usable(edges: Edges, sigma_px: float, polarity: int) -> np.ndarray:

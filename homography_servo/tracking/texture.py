@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import cv2
-from homography_servo.tracking.snake import Prior
+from homography_servo.tracking.polygon_fit import Prior
 import numpy as np
 
 SAMPLE_PX = 2.5  # distance of the samples in the key picture

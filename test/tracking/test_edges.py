@@ -14,11 +14,11 @@ from homography_servo.tracking.edges import measure_edges
 from homography_servo.tracking.focus import first_focus
 from homography_servo.tracking.focus import refocus
 from homography_servo.tracking.plane import Plane
+from homography_servo.tracking.polygon_fit import Look
 from homography_servo.tracking.profile import edge_profile
 from homography_servo.tracking.scan import read_scan
 from homography_servo.tracking.scan import side_geometry
 from homography_servo.tracking.snake import fit_snake
-from homography_servo.tracking.snake import Look
 import numpy as np
 import pytest
 

@@ -6,8 +6,8 @@ from face_views import pose
 from homography_servo.result import Rejected
 from homography_servo.simulation.scene import Scene
 from homography_servo.simulation.scene_settings import SceneSettings
+from homography_servo.tracking.examine import Target
 from homography_servo.tracking.finder import find_face
-from homography_servo.tracking.finder import Target
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.quads import list_quads
 import numpy as np

@@ -1,0 +1,108 @@
+"""Doubt a fit that cannot be the face."""
+
+from __future__ import annotations
+
+from homography_servo.geometry.face import face_corners
+from homography_servo.result import Rejected
+from homography_servo.tracking.face_pose import FacePose
+from homography_servo.tracking.face_pose import next_pose
+from homography_servo.tracking.face_pose import pose_of_face
+from homography_servo.tracking.motion import similarity_basis
+from homography_servo.tracking.plane import Plane
+from homography_servo.tracking.polygon_fit import Prior
+from homography_servo.tracking.polygon_fit import SnakeFit
+from homography_servo.tracking.tracker_settings import TrackerSettings
+import numpy as np
+
+SEEN_SIDE = 0.3  # share of its lines that makes a side seen
+SIDES_NEEDED = 3
+OTHER_SIZE = 0.25  # relative change of size from one picture to the next
+SETTLED_PX = 0.5  # largest last step of a fit that has found its place
+
+
+def weak_support(fit: SnakeFit, settings: TrackerSettings) -> str:
+    """Give the reason why the edges do not support a fit, or nothing."""
+    quality = fit.judged
+    if abs(quality.contrast) < settings.min_contrast:
+        return f'the contrast of the edges is {quality.contrast:.0f} grey levels'
+    if quality.inlier_share < settings.min_inlier_share:
+        return f'only {quality.inlier_share:.0%} of the lines agree'
+    if np.count_nonzero(quality.side_share > SEEN_SIDE) < SIDES_NEEDED:
+        return 'fewer than three sides are visible'
+    if fit.moved_px > SETTLED_PX:
+        return f'the fit has not settled: it moves by {fit.moved_px:.1f} px'
+    sigma_px = max(fit.covariance.diagonal().tolist()) ** 0.5
+    if sigma_px > settings.max_corner_sigma_px:
+        return f'a corner is uncertain by {sigma_px:.2f} px'
+    return ''
+
+
+def surprise(fit: SnakeFit, prior: Prior, settings: TrackerSettings, following: bool) -> str:
+    """
+    Compare a fit with what was expected.
+
+    Parameters
+    ----------
+    fit : SnakeFit
+        What came out.
+    prior : Prior
+        What was expected.
+    settings : TrackerSettings
+        What may happen.
+    following : bool
+        Whether the prior comes from the motion, so that place and size are known too.
+
+    Returns
+    -------
+    str
+        Why it cannot be, or nothing.
+
+    """
+    move = (fit.corners - prior.corners).ravel()
+    free = similarity_basis(prior.corners) if prior.free is None else prior.free
+    common = move @ free
+    bend_px = max(np.abs(move - free @ common).tolist())
+    if bend_px > settings.max_jump_px:
+        return f'the shape changed by {bend_px:.1f} px at once'
+    if not following:
+        return ''
+    right, down, larger, _ = common.tolist()
+    if abs(larger) > OTHER_SIZE * abs(float(free[:, 2] @ prior.corners.ravel())):
+        return 'the size changed at once'
+    if max(abs(right), abs(down)) > 2.0 * settings.search_px:
+        return 'the face jumped'
+    return ''
+
+
+class FaceCheck:
+    """
+    Checks that corners are the projection of the rectangle.
+
+    Parameters
+    ----------
+    face_size_m : (float, float)
+        Width and height of the face.
+    plane : Plane
+        Without a camera every quadrilateral may be the face.
+
+    """
+
+    def __init__(self, face_size_m: tuple[float, float], plane: Plane) -> None:
+        self._points_m, self._plane = face_corners(*face_size_m), plane
+        self._pose: FacePose | None = None
+
+    def doubt(self, corners: np.ndarray, settings: TrackerSettings) -> str:
+        """Give the reason why corners (4, 2) are no view of the face, or nothing."""
+        if self._plane.camera is None:
+            return ''
+        rays = self._plane.rays(corners)
+        pose = pose_of_face(self._points_m, rays) if self._pose is None \
+            else next_pose(self._points_m, rays, self._pose)
+        self._pose = None
+        if isinstance(pose, Rejected):
+            return pose.reason
+        miss_px = float(self._plane.focal.mean() * np.sqrt(np.mean(pose.miss ** 2)))
+        if miss_px > settings.max_shape_miss_px:
+            return f'the corners miss a view of the face by {miss_px:.1f} px'
+        self._pose = pose
+        return ''
