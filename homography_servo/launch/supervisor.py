@@ -11,6 +11,8 @@ from collections import deque
 from dataclasses import dataclass
 from dataclasses import field
 import os
+from queue import Empty
+from queue import SimpleQueue
 import signal
 import subprocess
 import sys
@@ -91,7 +93,7 @@ class Supervisor:
         self._lock = threading.Lock()
         self._write_line = write or _to_stdout
         self._signals = 0
-        self._wake = threading.Event()
+        self._wake: SimpleQueue[None] = SimpleQueue()  # an Event deadlocks in a signal handler
 
     def write(self, line: str) -> None:
         """Write one whole line, whoever else is writing."""
@@ -101,7 +103,7 @@ class Supervisor:
     def interrupt(self, *_) -> None:
         """Ask for the end; asked again, the next signal of the ladder goes out at once."""
         self._signals += 1
-        self._wake.set()
+        self._wake.put(None)
 
     def run(self) -> int:
         """
@@ -128,8 +130,14 @@ class Supervisor:
                     return code
             if not any(child.running or child.due_s for child in self.children):
                 return 0
-            self._wake.wait(0.05)
+            self._pause(0.05)
         return 0
+
+    def _pause(self, time_s: float) -> None:
+        try:
+            self._wake.get(timeout=time_s)
+        except Empty:
+            pass
 
     def _tend(self, child: Child) -> int | None:
         """Restart a child that died; give an exit code when that cannot help."""
