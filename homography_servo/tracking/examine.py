@@ -25,7 +25,7 @@ from homography_servo.tracking.snake import fit_snake
 import numpy as np
 
 STEEPEST = 0.35  # cosine of the largest tilt
-LEAST_SCORE = 0.47
+LEAST_SCORE = 0.5
 LIKELY_MISS = 0.6  # of the miss of the proportions that is allowed
 FULL_GREY = 50.0  # contrast from which on more is not better
 NO_SIDES_SEEN = 0.65  # evidence where no side of the box can be in view
@@ -33,6 +33,8 @@ CLEAR_GREY = 10.0  # contrast that is no noise
 EVEN_GREY = 12.0  # differences that a face of one colour may show
 AWAY_PX = 4.0  # distance from a side at which grey levels are compared
 STRIP_SAMPLES = np.linspace(0.15, 0.85, 7)
+NARROW_HALF = 5
+SLIVER_PX, SIDE_ROUNDS = 0.1, 2  # a miss that a narrow side of the box may cause
 WIDE = Look(1.5, 7, 3, 3, 3, 6.0, 0.5, 1.5)
 ROUGH_PX, ROUGH_SHARE = 3.0, 0.05  # RMS error of a candidate's corners, and of its size
 
@@ -68,14 +70,17 @@ def examine(image: np.ndarray, quad: np.ndarray, target: Target, plane: Plane,
         return fit
     if best_pose(fit.corners, target.face_size_m, plane)[1] > 2.0 + 0.03 * _size(fit.corners):
         return Rejected('the proportions are not those of the face')
-    fit = fit_snake(image, fit.corners, Look(target.blur_px, 5, iterations=3), plane, None,
-                    target.polarity)
+    narrow = Look(target.blur_px, NARROW_HALF, iterations=3)
+    fit = fit_snake(image, fit.corners, narrow, plane, None, target.polarity)
     if isinstance(fit, Rejected):
         return fit
+    pose, miss_px, turns = best_pose(fit.corners, target.face_size_m, plane)
+    if miss_px > SLIVER_PX and target.box_height_m > 0.0 and not target.guessed_lens:
+        fit = _with_sides(image, fit, turns[0], target, plane)
+        pose, miss_px, turns = best_pose(fit.corners, target.face_size_m, plane)
     quality = fit.judged
     if quality.inlier_share < 0.55 or quality.side_share.min() < 0.15:
         return Rejected('the edges do not support the quadrilateral')
-    pose, miss_px, turns = best_pose(fit.corners, target.face_size_m, plane)
     allowed_px = 0.4 + (0.03 if target.guessed_lens else 0.01) * _size(fit.corners)
     if pose is None or miss_px > allowed_px:
         return Rejected('the proportions are not those of the face')
@@ -91,6 +96,21 @@ def examine(image: np.ndarray, quad: np.ndarray, target: Target, plane: Plane,
         return Rejected('the edges, the evenness and the proportions are not those of the face')
     score *= _box_evidence(image, fit.corners, turns[0], target, plane)
     return Found(turned_fit(fit, turn), quality, float(score), miss_px)
+
+
+def _with_sides(image: np.ndarray, fit: SnakeFit, turn: int, target: Target,
+                plane: Plane) -> SnakeFit:
+    """Fit again with the sides of the box, whose slivers shift the edges of the face."""
+    sides, fit = BoxSides(target.face_size_m, target.box_height_m, plane), turned_fit(fit, turn)
+    narrow = Look(target.blur_px, NARROW_HALF, iterations=3)
+    for _ in range(SIDE_ROUNDS):
+        sides.learn(fit.edges, fit.weight, fit.strips, NARROW_HALF)
+        again = fit_snake(image, fit.corners, narrow, plane, None, target.polarity,
+                          sides.strips(fit.corners)[0])
+        if isinstance(again, Rejected):
+            return fit
+        fit = again
+    return fit
 
 
 def best_pose(quad: np.ndarray, face_size_m: tuple[float, float], plane: Plane
