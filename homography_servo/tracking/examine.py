@@ -36,7 +36,6 @@ STRIP_SAMPLES = np.linspace(0.15, 0.85, 7)
 NARROW_HALF = 5
 SLIVER_PX, SIDE_ROUNDS = 0.1, 2  # a miss that a narrow side of the box may cause
 WIDE = Look(1.5, 7, 3, 3, 3, 6.0, 0.5, 1.5)
-ROUGH_PX, ROUGH_SHARE = 3.0, 0.05  # RMS error of a candidate's corners, and of its size
 
 
 class Target(NamedTuple):
@@ -63,8 +62,6 @@ class Found(NamedTuple):
 def examine(image: np.ndarray, quad: np.ndarray, target: Target, plane: Plane,
             expected: np.ndarray | None = None) -> Found | Rejected:
     """Fit a candidate and check that it can be the face."""
-    if best_pose(quad, target.face_size_m, plane)[1] > ROUGH_PX + ROUGH_SHARE * _size(quad):
-        return Rejected('the proportions are not those of the face')
     fit = fit_snake(image, quad, WIDE, plane, None, target.polarity)
     if isinstance(fit, Rejected):
         return fit
@@ -75,13 +72,14 @@ def examine(image: np.ndarray, quad: np.ndarray, target: Target, plane: Plane,
     if isinstance(fit, Rejected):
         return fit
     pose, miss_px, turns = best_pose(fit.corners, target.face_size_m, plane)
-    if miss_px > SLIVER_PX and target.box_height_m > 0.0 and not target.guessed_lens:
+    allowed_px = 0.4 + (0.03 if target.guessed_lens else 0.01) * _size(fit.corners)
+    if SLIVER_PX < miss_px < allowed_px and target.box_height_m > 0.0 \
+            and not target.guessed_lens:
         fit = _with_sides(image, fit, turns[0], target, plane)
         pose, miss_px, turns = best_pose(fit.corners, target.face_size_m, plane)
     quality = fit.judged
     if quality.inlier_share < 0.55 or quality.side_share.min() < 0.15:
         return Rejected('the edges do not support the quadrilateral')
-    allowed_px = 0.4 + (0.03 if target.guessed_lens else 0.01) * _size(fit.corners)
     if pose is None or miss_px > allowed_px:
         return Rejected('the proportions are not those of the face')
     cosine = abs(float(pose.rotation[:, 2] @ pose.translation)) \
