@@ -23,7 +23,7 @@ from homography_servo.tracking.strips import Strips
 import numpy as np
 
 INLIER_WEIGHT = 0.1
-MOST_DONE_PX = 0.3
+MOST_DONE_PX, MOST_STEADY_PX = 0.2, 0.3  # largest last step; step that leaves levels as they are
 SAME_LEVELS_PX = 0.03  # all sides in or out by less: grey levels need no second look
 IMAGE_PLANE = Plane(None)
 
@@ -80,7 +80,7 @@ def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = I
         if not sound(fit.corners):
             return Rejected('the polygon folded')
         corners, far_px = fit.corners, far_px + fit.moved_px
-        steady = abs(edges.common) < SAME_LEVELS_PX and fit.moved_px < MOST_DONE_PX
+        steady = abs(edges.common) < SAME_LEVELS_PX and fit.moved_px < MOST_STEADY_PX
         known = edges.known if steady else None
         sigma_px = math.sqrt(sum(fit.covariance.diagonal().tolist()) / corners.size)
         if fit.moved_px < min(look.done_sigmas * sigma_px, MOST_DONE_PX):
