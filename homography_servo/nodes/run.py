@@ -32,6 +32,7 @@ EXIT_OK, EXIT_FAILED, EXIT_CONFIG, EXIT_HARDWARE = 0, 1, 2, 3
 _BAD_PARAMETER = (
     InvalidParameterException, InvalidParameterTypeException, InvalidParameterValueException)
 _LAST_RESORT_S = 2.0
+PROFILE, RANGE = 'FASTRTPS_DEFAULT_PROFILES_FILE', 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 
 
 def tune_allocator() -> None:
@@ -56,9 +57,19 @@ def tune_threads() -> None:
 
 
 def choose_transport(carries_images: bool) -> None:
-    """Point Fast DDS to the profile for the kind of node, unless there is one of yours."""
-    profile = 'fastdds_images.xml' if carries_images else 'fastdds_commands.xml'
-    os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(find_config(profile)))
+    """
+    Point Fast DDS to the profile for the kind of node, unless there is one of yours.
+
+    With the discovery range LOCALHOST rmw_fastrtps adds shared memory to whatever a
+    profile says, so that range is brought about by the profile itself.
+    """
+    if PROFILE in os.environ:
+        return
+    kind = 'images' if carries_images else 'commands'
+    if os.environ.get(RANGE, '').upper() == 'LOCALHOST':
+        kind += '_localhost'
+        os.environ[RANGE] = 'SYSTEM_DEFAULT'
+    os.environ[PROFILE] = str(find_config(f'fastdds_{kind}.xml'))
 
 
 class SignalWatch:
