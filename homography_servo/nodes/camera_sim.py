@@ -190,8 +190,9 @@ class CameraSim(NodeKit, Node):
         header = Header(stamp=shot.stamp, frame_id='camera_optical')
         self._image.publish(image_msg(pixels, header))
         self._info.publish(camera_info_msg(self._camera, header))
-        self._true_corners.publish(polygon_msg(frame.true_corners_px, header))
-        if frame.true_corners_px is not None:
+        if self._true_corners.get_subscription_count():
+            self._true_corners.publish(polygon_msg(frame.true_corners_px, header))
+        if frame.true_corners_px is not None and self._true_pose.get_subscription_count():
             self._true_pose.publish(pose_stamped_msg(
                 shot.home_from_object, Header(stamp=shot.stamp, frame_id='home')))
         self.count('images')

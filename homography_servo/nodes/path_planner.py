@@ -158,8 +158,9 @@ class PathPlanner(NodeKit, Node):
         self._pose.publish(pose_covariance_msg(
             estimate.home_from_object, estimate.covariance, header))
         self._transforms.send([Frame('home', 'object', estimate.home_from_object)], header.stamp)
-        self._candidates.publish(pose_array_msg(
-            [candidate.home_from_object for candidate in estimate.candidates], header))
+        if self._candidates.get_subscription_count():
+            self._candidates.publish(pose_array_msg(
+                [candidate.home_from_object for candidate in estimate.candidates], header))
 
     def _stamp_s(self, header: Header) -> float:
         """Give a stamp in seconds; a missing one and one from the future mean now."""

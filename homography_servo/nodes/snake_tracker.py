@@ -166,7 +166,8 @@ class SnakeTracker(NodeKit, Node):
         if track.corners_px is not None:
             self._covariance.publish(covariance_msg(track.covariance_px2, msg.header))
         self._corners.publish(polygon_msg(track.corners_px, msg.header))
-        self._contour.publish(polygon_msg(track.contour_px, msg.header))
+        if self._contour.get_subscription_count():
+            self._contour.publish(polygon_msg(track.contour_px, msg.header))
         self._show_state()
         self.count(f'frames_{track.state.lower()}')
         if self._annotated.get_subscription_count():

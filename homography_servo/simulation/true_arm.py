@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 from homography_servo.geometry.rigid import exp_twist
 from homography_servo.geometry.rigid import inverse
@@ -76,6 +77,7 @@ def true_home_from_object(robot: Robot, joints_rad: np.ndarray, errors: ArmError
                                                             errors.grip_error_rad)
 
 
+@lru_cache(maxsize=16)
 def _error(shift_m: tuple[float, ...], turn_rad: tuple[float, ...]) -> np.ndarray:
     """Make a (4, 4) transform of a shift and a rotation vector; empty means none."""
     error = exp_twist(np.array([0.0, 0.0, 0.0, *(turn_rad or (0.0,) * 3)]))
