@@ -85,14 +85,20 @@ class TrialClient:
         self.node = Node('servo_trial')
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
-        for topic, kind, qos in TOPICS:
-            self.node.create_subscription(kind, topic, self._feeder(topic), qos)
+        self._heard = {
+            topic: self.node.create_subscription(kind, topic, self._feeder(topic), qos)
+            for topic, kind, qos in TOPICS}
         self._events = self.node.create_publisher(String, '~/events', DEFAULT)
         self._commands = self.node.create_publisher(JointState, 'joint_commands', COMMANDS)
         self._services: dict[str, Any] = {}
 
     def _feeder(self, topic: str) -> Callable[[Any], None]:
         return lambda msg: self.log.feed(topic, msg, time.monotonic())
+
+    def stop_hearing(self, *topics: str) -> None:
+        """Listen to topics no longer, to take no time from what is measured."""
+        for topic in topics:
+            self.node.destroy_subscription(self._heard.pop(topic))
 
     def state(self, node: str) -> str:
         """Give the last state that a node has announced, empty before any."""

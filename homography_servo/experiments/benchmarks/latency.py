@@ -28,6 +28,7 @@ import numpy as np
 
 NODES = ('camera_sim', 'snake_tracker', 'path_planner', 'visual_servo', 'robix_bridge')
 RATES_HZ = (30.0, 60.0, 120.0)
+NOT_HEARD = ('image', 'object/contour', 'object/true_pose')
 TICKS_PER_S = os.sysconf('SC_CLK_TCK')
 
 
@@ -87,6 +88,7 @@ def measure(rate_hz: float, poses: int, folder: Path) -> dict[str, Any]:
     probe = LatencyProbe(client.node)
     try:
         sentence = prepare(client, options)
+        client.stop_hearing(*NOT_HEARD)
         pids = node_pids(bringup.process.pid)
         before = {name: cpu_s(pid) for name, pid in pids.items()}
         began_s, probe.recording = time.monotonic(), True
