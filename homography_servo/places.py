@@ -5,9 +5,13 @@ from __future__ import annotations
 import os
 from pathlib import Path
 import sys
+from typing import Callable, TypeVar
+
+from homography_servo.errors import ConfigError
 
 PACKAGE = 'homography_servo'
 _FOLDERS = ('.', 'robots', 'cameras')
+Loaded = TypeVar('Loaded')
 
 
 def share_dirs() -> list[Path]:
@@ -50,3 +54,28 @@ def find_config(name: str | Path, beside: str | Path | None = None) -> Path:
             return path.resolve()
     shown = ', '.join(dict.fromkeys(str(path.parent.resolve()) for path in tries[:6]))
     raise FileNotFoundError(f'no file {name}; looked in {shown}')
+
+
+def load_named(load: Callable[[Path], Loaded], name: str, owner: str, key: str) -> Loaded:
+    """
+    Load the file that a parameter names.
+
+    Parameters
+    ----------
+    load : callable
+        Makes something of a path.
+    name : str
+        A path or a bare name, see `find_config`.
+    owner, key : str
+        Whose parameter it is, and its name, for the error.
+
+    Raises
+    ------
+    ConfigError
+        When there is no such file, or `load` says that it cannot be used.
+
+    """
+    try:
+        return load(find_config(name))
+    except FileNotFoundError as error:
+        raise ConfigError(owner, 0, key, str(error)) from error

@@ -1,6 +1,8 @@
 """Configuration files are found by path and by name."""
 
+from homography_servo.errors import ConfigError
 from homography_servo.places import find_config
+from homography_servo.places import load_named
 import pytest
 
 
@@ -29,3 +31,9 @@ def test_installed_files_are_found_by_the_ament_prefix(tmp_path, monkeypatch):
     (folder / 'only_here.yaml').write_text('x')
     monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path))
     assert find_config('only_here.yaml') == folder / 'only_here.yaml'
+
+
+def test_a_file_that_a_parameter_names_is_loaded_or_the_parameter_blamed():
+    assert load_named(lambda path: path.name, 'sim.yaml', 'a_node', 'a_file') == 'sim.yaml'
+    with pytest.raises(ConfigError, match='^a_node:0: a_file: no file nowhere.yaml; looked in'):
+        load_named(str, 'nowhere.yaml', 'a_node', 'a_file')

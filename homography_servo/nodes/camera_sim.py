@@ -29,7 +29,7 @@ from homography_servo.nodes.kit import OK
 from homography_servo.nodes.kit import WARN
 from homography_servo.nodes.parameters import Parameters
 from homography_servo.nodes.run import run_node
-from homography_servo.places import find_config
+from homography_servo.places import load_named
 from homography_servo.result import Rejected
 from homography_servo.robot.robot_file import load_robot
 from homography_servo.settings import flag
@@ -102,8 +102,8 @@ class CameraSim(NodeKit, Node):
         super().__init__(self.NAME, **kwargs)
         self._settings = Parameters(self, *self.SETTINGS)
         settings = self._settings[CameraSimSettings]
-        self._arm = TrueArm(_load(load_robot, 'robot_file', settings.robot_file))
-        self._camera = _load(load_camera, 'camera_file', settings.camera_file)
+        self._arm = TrueArm(load_named(load_robot, settings.robot_file, self.NAME, 'robot_file'))
+        self._camera = load_named(load_camera, settings.camera_file, self.NAME, 'camera_file')
         problem = self._settings[ArmErrors].problem_with(self._arm.robot)
         if problem:
             raise ConfigError(self.NAME, 0, '', problem)
@@ -203,13 +203,6 @@ class CameraSim(NodeKit, Node):
         return [Health('camera', OK if known else WARN,
                        'rendering' if known else 'no joint_states yet: background only',
                        {'images': self.counts['images'], 'dropped': self.counts['dropped']})]
-
-
-def _load(loader, key: str, name: str):
-    try:
-        return loader(find_config(name))
-    except FileNotFoundError as error:
-        raise ConfigError(CameraSim.NAME, 0, key, str(error)) from error
 
 
 def main(args=None) -> int:

@@ -10,7 +10,6 @@ from geometry_msgs.msg import PolygonStamped
 from geometry_msgs.msg import PoseArray
 from geometry_msgs.msg import PoseStamped
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from homography_servo.errors import ConfigError
 from homography_servo.geometry.face import face_corners
 from homography_servo.nodes.conversions import camera_from_info
 from homography_servo.nodes.conversions import corners_from_polygon
@@ -37,14 +36,13 @@ from homography_servo.nodes.run import run_node
 from homography_servo.nodes.transforms import camera_frames
 from homography_servo.nodes.transforms import Frame
 from homography_servo.nodes.transforms import Transforms
-from homography_servo.places import find_config
+from homography_servo.places import load_named
 from homography_servo.planning.desk import PlanningDesk
 from homography_servo.planning.observer_settings import ObserverSettings
 from homography_servo.planning.planner import Plan
 from homography_servo.planning.settings import PlannerSettings
 from homography_servo.result import Rejected
 from homography_servo.robot.robot_file import load_robot
-from homography_servo.robot.robot_file import Robot
 from homography_servo.settings import reals
 from homography_servo.settings import Settings
 from homography_servo.settings import text
@@ -86,7 +84,8 @@ class PathPlanner(NodeKit, Node):
         self._settings = Parameters(self, *self.SETTINGS)
         self._settings.on_change(self._on_parameters)
         files = self._settings[PathPlannerSettings]
-        self._robot = _robot_from(files.robot_file)
+        self._robot = load_named(load_robot, files.robot_file, self.NAME, 'robot_file') \
+            if files.robot_file else None
         size = files.face_size_m or (0.1, 0.06)
         points_m = face_corners(*size) if self._robot is None else self._robot.object_points_m
         self._desk = PlanningDesk(points_m, self._robot, self._settings[PlannerSettings],
@@ -220,15 +219,6 @@ class PathPlanner(NodeKit, Node):
         facts = {'corner_noise_px': float(self._desk.noise_px)}
         inputs = Health('inputs', WARN if missing else OK, missing or 'all is there', facts)
         return [inputs, Health('plan', OK, self._last_sentence)]
-
-
-def _robot_from(name: str) -> Robot | None:
-    if not name:
-        return None
-    try:
-        return load_robot(find_config(name))
-    except FileNotFoundError as error:
-        raise ConfigError('path_planner', 0, 'robot_file', str(error)) from error
 
 
 def main(args=None) -> int:

@@ -24,7 +24,7 @@ from homography_servo.nodes.parameters import Parameters
 from homography_servo.nodes.run import run_node
 from homography_servo.nodes.transforms import fixed_frames
 from homography_servo.nodes.transforms import Transforms
-from homography_servo.places import find_config
+from homography_servo.places import load_named
 from homography_servo.result import Rejected
 from homography_servo.robot.arm import Arm
 from homography_servo.robot.driver import ArmDriver
@@ -35,7 +35,6 @@ from homography_servo.robot.port import PortSettings
 from homography_servo.robot.rivals import Rivals
 from homography_servo.robot.rivals import Turns
 from homography_servo.robot.robot_file import load_robot
-from homography_servo.robot.robot_model import Robot
 from homography_servo.robot.trajectory import TrajectoryPoint
 from homography_servo.robot.trajectory import TrajectorySettings
 from homography_servo.robot.urdf import urdf_text
@@ -81,7 +80,8 @@ class RobixBridge(NodeKit, LifecycleNode):
     def __init__(self, **kwargs) -> None:
         super().__init__(self.NAME, **kwargs)
         self._settings = Parameters(self, *self.SETTINGS)
-        self._robot = self._load()
+        self._robot = load_named(load_robot, self._settings[BridgeSettings].robot_file,
+                                 self.NAME, 'robot_file')
         self._arm: Arm | None = None
         self._topics = Turns()
         self._shown_state = self._shown_problem = ''
@@ -93,13 +93,6 @@ class RobixBridge(NodeKit, LifecycleNode):
             self._open()
             self.trigger_configure()
             self.trigger_activate()
-
-    def _load(self) -> Robot:
-        name = self._settings[BridgeSettings].robot_file
-        try:
-            return load_robot(find_config(name))
-        except FileNotFoundError as error:
-            raise ConfigError(self.NAME, 0, 'robot_file', str(error)) from error
 
     def _make_interface(self) -> None:
         self._states = self.create_publisher(JointState, 'joint_states', DEFAULT)

@@ -91,6 +91,11 @@ class SignalWatch:
         if self.stopped.is_set():
             hook()
 
+    def ignore(self) -> None:
+        """Let no further signal end the process while the interpreter winds up."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+
     def _wait(self) -> None:
         while self._reader.recv(1)[0] not in (signal.SIGINT, signal.SIGTERM):
             pass
@@ -133,6 +138,7 @@ def run_node(node_type: type, args: Sequence[str] | None = None) -> int:
     finally:
         _force_exit_later()
         rclpy.try_shutdown()
+        watch.ignore()
 
 
 def _run(node_type: type, watch: SignalWatch) -> int:

@@ -9,7 +9,6 @@ import time
 
 from builtin_interfaces.msg import Time
 import cv2
-from homography_servo.errors import ConfigError
 from homography_servo.errors import HardwareError
 from homography_servo.geometry.camera import load_camera
 from homography_servo.nodes.conversions import camera_info_msg
@@ -24,7 +23,7 @@ from homography_servo.nodes.run import EXIT_FAILED
 from homography_servo.nodes.run import EXIT_HARDWARE
 from homography_servo.nodes.run import EXIT_OK
 from homography_servo.nodes.run import run_node
-from homography_servo.places import find_config
+from homography_servo.places import load_named
 from homography_servo.settings import flag
 from homography_servo.settings import real
 from homography_servo.settings import Settings
@@ -75,7 +74,8 @@ class VideoCamera(NodeKit, Node):
         self._settings = Parameters(self, *self.SETTINGS)
         settings = self._settings[VideoCameraSettings]
         self._device = _device_number(settings.source) is not None
-        self._camera = _camera_from(settings.camera_file)
+        self._camera = load_named(load_camera, settings.camera_file, self.NAME, 'camera_file') \
+            if settings.camera_file else None
         self._capture = _open(settings.source)
         qos = images_qos(settings.reliable_images)
         self._image = self.create_publisher(Image, 'image', qos)
@@ -217,15 +217,6 @@ class VideoCamera(NodeKit, Node):
             self._reader.join(0.5)
         if self._reader is None or not self._reader.is_alive():
             self._capture.release()  # not under the feet of a read that hangs
-
-
-def _camera_from(name: str):
-    if not name:
-        return None
-    try:
-        return load_camera(find_config(name))
-    except FileNotFoundError as error:
-        raise ConfigError(VideoCamera.NAME, 0, 'camera_file', str(error)) from error
 
 
 def _device_number(source: str) -> int | None:

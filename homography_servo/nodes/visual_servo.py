@@ -11,7 +11,6 @@ from diagnostic_msgs.msg import KeyValue
 from geometry_msgs.msg import PolygonStamped
 from geometry_msgs.msg import PoseArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from homography_servo.errors import ConfigError
 from homography_servo.nodes.conversions import camera_from_info
 from homography_servo.nodes.conversions import joints_from_state
 from homography_servo.nodes.conversions import polygon_msg
@@ -31,7 +30,7 @@ from homography_servo.nodes.kit import OK
 from homography_servo.nodes.kit import WARN
 from homography_servo.nodes.parameters import Parameters
 from homography_servo.nodes.run import run_node
-from homography_servo.places import find_config
+from homography_servo.places import load_named
 from homography_servo.planning.calibration import calibration_poses
 from homography_servo.planning.calibration import CalibrationPoseSettings
 from homography_servo.planning.calibration import CalibrationSettings
@@ -45,7 +44,6 @@ from homography_servo.planning.servo_state import FAILED
 from homography_servo.planning.servo_state import HOLD
 from homography_servo.result import Rejected
 from homography_servo.robot.robot_file import load_robot
-from homography_servo.robot.robot_file import Robot
 from homography_servo.robot.robot_file import save_robot
 from homography_servo.settings import Settings
 from homography_servo.settings import text
@@ -84,7 +82,8 @@ class VisualServo(NodeKit, Node):
         super().__init__(self.NAME, **kwargs)
         self._settings = Parameters(self, *self.SETTINGS)
         self._settings.on_change(self._on_parameters)
-        self._robot = _robot_from(self._settings[VisualServoSettings].robot_file)
+        self._robot = load_named(load_robot, self._settings[VisualServoSettings].robot_file,
+                                 self.NAME, 'robot_file')
         self._servo = Servo(self._robot, self._settings[ServoSettings])
         self._camera = None
         self._poses_msg: PoseArray | None = None
@@ -335,13 +334,6 @@ class VisualServo(NodeKit, Node):
         """Stop the arm before the process ends."""
         if self._active:
             self._commands.publish(self._trajectory(Command()))
-
-
-def _robot_from(file: str) -> Robot:
-    try:
-        return load_robot(find_config(file))
-    except FileNotFoundError as error:
-        raise ConfigError(VisualServo.NAME, 0, 'robot_file', str(error)) from error
 
 
 def lead_from(verdict: DiagnosticArray, plan: JointTrajectory | None,

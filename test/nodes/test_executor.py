@@ -16,6 +16,7 @@ from rclpy.clock import Clock  # noqa: E402
 from rclpy.clock import ClockType  # noqa: E402
 from rclpy.event_handler import SubscriptionEventCallbacks  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.qos import QoSProfile  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
@@ -48,8 +49,9 @@ def test_every_message_comes_once_and_in_order(served, probe):
     def take(msg):
         heard.append(msg.data)
         threads.add(threading.get_ident())
-    node.create_subscription(String, 'words', take, DEFAULT)
-    publisher = probe.node.create_publisher(String, 'words', DEFAULT)
+    everything = QoSProfile(depth=1000, reliability=DEFAULT.reliability)
+    node.create_subscription(String, 'words', take, everything)
+    publisher = probe.node.create_publisher(String, 'words', everything)
     until(executor, probe, lambda: publisher.get_subscription_count() == 1)
     for k in range(200):
         publisher.publish(String(data=str(k)))

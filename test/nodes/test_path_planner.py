@@ -68,8 +68,9 @@ class Scene:
         return look(pose[None], CAMERA, self.points_m, 1.0).points_px[0]
 
     def show_camera(self):
-        self.info.publish(camera_info_msg(CAMERA, self.header()))
-        self.probe.spin_for(0.1)
+        for _ in range(5):  # best effort: the first may come before the two have met
+            self.info.publish(camera_info_msg(CAMERA, self.header()))
+            self.probe.spin_for(0.05)
 
     def show(self, pose, joints_rad=None, looks=1, noise_px=0.1, order=slice(None)):
         """Publish joints and corners, and wait for the pose of each look."""

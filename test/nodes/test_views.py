@@ -30,8 +30,9 @@ def graph(probe, start_node):
                probe.node.count_publishers('/visual_servo/progress') and
                probe.node.count_publishers('/robot_description') and
                probe.node.count_publishers('/snake_tracker/annotated_image') and
-               any(name == '/robix_bridge/stop'
-                   for name, _ in probe.node.get_service_names_and_types()), 'nodes are missing')
+               {'/robix_bridge/stop', '/visual_servo/pause', '/path_planner/plan'} <=
+               {name for name, _ in probe.node.get_service_names_and_types()},
+               'nodes are missing')
     return (dict(probe.node.get_topic_names_and_types()),
             dict(probe.node.get_service_names_and_types()))
 
