@@ -1,5 +1,6 @@
 """The whole loop while its parts die: the arm stops in time, and what goes on by itself."""
 
+import functools
 import signal
 import sys
 import time
@@ -23,6 +24,7 @@ from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
+from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
 ROBOT = load_robot(find_config('robix_rcs6.yaml'))
 START_DEG = (-50.0, 40.0, 10.0, -10.0, 0.0, -20.0)
@@ -48,6 +50,12 @@ class Loop:
         probe.node.create_subscription(JointState, 'joint_states', self._on_joints, 10)
         self.states = {name: probe.record(String, f'{name}/state', LATCHED)
                        for name in ('visual_servo', 'snake_tracker', 'robix_bridge')}
+        self.told = []  # (time, node, state), for the message of a failure
+        for name in self.states:
+            probe.node.create_subscription(
+                String, f'{name}/state', functools.partial(self._on_state, name), LATCHED)
+        self.commands_s = []  # (time, points) of commands to the arm
+        probe.node.create_subscription(JointTrajectory, 'joint_trajectory', self._on_command, 10)
         self.seen_s = 0.0
         probe.node.create_subscription(PoseWithCovarianceStamped, 'object/pose', self._on_pose, 10)
         self._commands = probe.publisher(JointState, 'joint_commands', 1)
@@ -57,6 +65,19 @@ class Loop:
         if self.joints is not None and np.abs(joints - self.joints).max() > STILL_RAD:
             self.moved_s = seconds_from_stamp(msg.header.stamp) - self._stamps_ahead_s
         self.joints = joints
+
+    def _on_state(self, name: str, msg: String) -> None:
+        self.told.append((time.monotonic(), name, msg.data))
+
+    def _on_command(self, msg: JointTrajectory) -> None:
+        self.commands_s.append((time.monotonic(), len(msg.points)))
+
+    def since(self, hit_s: float) -> str:
+        """List what was told and commanded after a moment, with the times from there."""
+        events = [(time_s, f'{name} {state}') for time_s, name, state in self.told]
+        events += [(time_s, f'command of {points} points') for time_s, points in self.commands_s]
+        return '; '.join(f'{time_s - hit_s:.3f} s {what}' for time_s, what in sorted(events)
+                         if time_s > hit_s - 1.0)
 
     def _on_pose(self, _) -> None:
         self.seen_s = time.monotonic()
@@ -122,7 +143,7 @@ class Loop:
         self.probe.wait(lambda: not self.still(0.05), 'the arm does not move')
         self.probe.spin_for(0.1)
         self.nodes[name].signal(number)
-        hit_s = time.monotonic()
+        self.hit_s = hit_s = time.monotonic()
         self.probe.spin_for(0.1)
         self.probe.wait(lambda: self.still(0.5), f'{name} is gone and the arm moves on')
         return max(0.0, self.moved_s - max(hit_s, self.seen_s))
@@ -147,7 +168,7 @@ def test_the_arm_stops_when_a_part_is_lost_and_goes_on_when_it_is_back(loop):
         late_s = loop.hit_on_the_way(name, signal.SIGSTOP if freeze else signal.SIGKILL)
         print(f'{name}: the arm moved on for {late_s:.3f} s', file=sys.stderr)
         loop.probe.wait(lambda: loop.state('visual_servo').startswith('HOLD'), 'no HOLD', 1.0)
-        assert late_s < bound_s + SLACK_S, name
+        assert late_s < bound_s + SLACK_S, f'{name}: {loop.since(loop.hit_s)}'
         loop.states['visual_servo'].clear()
         began_s = time.monotonic()
         if freeze:
