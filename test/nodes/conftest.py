@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 import itertools
 import os
 from pathlib import Path
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -16,8 +18,7 @@ from homography_servo.nodes.__main__ import PARENT
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-# Domains up to 101 use ports below the ephemeral ones; start anywhere so that
-# test runs side by side do not meet.
+# Domains up to 101 use ports below the ephemeral ones.
 DOMAINS = itertools.cycle(range(1, 102))
 for _ in range(os.getpid() % 101):
     next(DOMAINS)
@@ -47,7 +48,8 @@ class NodeProcess:
         environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1',
                        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
                        'ROS_PYTHON_CHECK_FIELDS': '1',
-                       PARENT: str(os.getpid())}  # not even a killed test leaves a node behind
+                       # Not even a killed test leaves a node behind.
+                       PARENT: os.environ.get(PARENT, str(os.getpid()))}
         self.name = name
         self.lines: list[str] = []
         self.process = subprocess.Popen(
@@ -174,10 +176,27 @@ class Probe:
         self.context.try_shutdown()
 
 
+@contextmanager
+def own_domain():
+    """Take a ROS domain that no other test has, not even of a test run beside this one."""
+    for number in itertools.islice(DOMAINS, 101):
+        lock = socket.socket(socket.AF_UNIX)
+        try:
+            lock.bind(f'\0homography_servo_domain_{number}')  # a name without a file
+        except OSError:
+            lock.close()
+            continue
+        with lock:
+            yield number
+        return
+    pytest.fail('every ROS domain is taken by another test')
+
+
 @pytest.fixture
-def domain() -> int:
+def domain():
     """Give the test a ROS domain of its own."""
-    return next(DOMAINS)
+    with own_domain() as number:
+        yield number
 
 
 @pytest.fixture

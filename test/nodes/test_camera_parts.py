@@ -99,7 +99,8 @@ def test_the_picture_shows_the_face_where_the_truth_says(make, probe, errors):
     node = make(CameraSim, noise_grey=0.0, background_level=50.0, side_levels=[50.0] * 4,
                 face_level=250.0, **errors)
     images, corners = published(node), []
-    node._true_corners = type('Out', (), {'publish': staticmethod(corners.append)})
+    node._true_corners = type('Out', (), {'publish': staticmethod(corners.append),
+                                          'get_subscription_count': staticmethod(lambda: 1)})
     names = node._arm.robot.joint_names
     for joints_deg in ((-20, 40, 10, -10, 0, -20), (-5, 35, 20, -25, 8, 10)):
         node._on_joints(joint_state_msg(names, np.radians(joints_deg), Header()))

@@ -9,8 +9,8 @@ import subprocess
 import sys
 import time
 
-from conftest import DOMAINS
 from conftest import NodeProcess
+from conftest import own_domain
 from conftest import Probe
 from conftest import wait_until
 from diagnostic_msgs.msg import DiagnosticArray
@@ -152,9 +152,8 @@ class Desk:
 @pytest.fixture(scope='module')
 def fake_desk():
     """Give one bridge with an emulated robot inside to all tests that leave it in order."""
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, own_domain() as domain:
         patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-        domain = next(DOMAINS)
         node, probe = NodeProcess('robix_bridge', domain, []), Probe(domain)
         try:
             yield Desk(probe)
