@@ -8,6 +8,7 @@ here. What cannot be used comes back as `Rejected`.
 from __future__ import annotations
 
 import array
+import math
 from typing import Iterable, Sequence
 
 from builtin_interfaces.msg import Duration
@@ -40,6 +41,7 @@ _TO_GREY = {'bgr8': cv2.COLOR_BGR2GRAY, 'rgb8': cv2.COLOR_RGB2GRAY,
 _TO_BGR = {'mono8': cv2.COLOR_GRAY2BGR, 'rgb8': cv2.COLOR_RGB2BGR,
            'bgra8': cv2.COLOR_BGRA2BGR, 'rgba8': cv2.COLOR_RGBA2BGR}
 LARGEST_IMAGE_BYTES = 1 << 28
+LONGEST_PATH = 2000
 
 
 def seconds_from_stamp(stamp: Time) -> float:
@@ -292,3 +294,13 @@ def trajectory_msg(names: Sequence[str], points_rad: Sequence[np.ndarray],
             positions=[float(v) for v in joints_rad],
             time_from_start=duration_from_seconds(float(time_s))))
     return msg
+
+
+def image_path_from_msg(msg: Float64MultiArray) -> np.ndarray | Rejected:
+    """Read a path in the image: (N, M, 2) pixels, NaN where a corner has no place."""
+    sizes = [int(dim.size) for dim in msg.layout.dim]
+    if len(sizes) != 3 or sizes[2] != 2 or sizes[0] > LONGEST_PATH:
+        return Rejected(f'the path in the image has sizes {sizes} instead of [poses, corners, 2]')
+    if math.prod(sizes) != len(msg.data):
+        return Rejected(f'the path in the image has {len(msg.data)} numbers, not {sizes}')
+    return np.array(msg.data, dtype=float).reshape(sizes)

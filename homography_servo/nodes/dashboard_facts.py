@@ -9,6 +9,8 @@ import cv2
 from diagnostic_msgs.msg import DiagnosticArray
 from diagnostic_msgs.msg import DiagnosticStatus
 from homography_servo.nodes.conversions import bgr_from_image
+from homography_servo.nodes.conversions import image_path_from_msg
+from homography_servo.nodes.conversions import LONGEST_PATH
 from homography_servo.result import Rejected
 import numpy as np
 from sensor_msgs.msg import Image
@@ -18,7 +20,6 @@ from std_msgs.msg import Float64MultiArray
 LEVELS = {DiagnosticStatus.OK: 'ok', DiagnosticStatus.WARN: 'warn',
           DiagnosticStatus.ERROR: 'error', DiagnosticStatus.STALE: 'stale'}
 _WORST = ('ok', 'stale', 'warn', 'error')
-LONGEST_PATH = 2000
 MOST_JOINTS = 16
 
 
@@ -54,14 +55,11 @@ def verdict_fact(msg: DiagnosticArray) -> dict[str, Any] | None:
 
 def path_fact(msg: Float64MultiArray) -> list | Rejected:
     """Give the corners (N, M, 2) of the path in the image; corners without a place are None."""
-    sizes = [int(dim.size) for dim in msg.layout.dim]
-    if len(sizes) != 3 or sizes[2] != 2 or sizes[0] > LONGEST_PATH:
-        return Rejected(f'the path in the image has sizes {sizes} instead of [poses, corners, 2]')
-    if math.prod(sizes) != len(msg.data):
-        return Rejected(f'the path in the image has {len(msg.data)} numbers, not {sizes}')
-    corners_px = np.round(np.array(msg.data, dtype=float).reshape(sizes), 2)
+    corners_px = image_path_from_msg(msg)
+    if isinstance(corners_px, Rejected):
+        return corners_px
     return [[point if all(map(math.isfinite, point)) else None for point in pose]
-            for pose in corners_px.tolist()]
+            for pose in np.round(corners_px, 2).tolist()]
 
 
 def joints_fact(msg: JointState) -> tuple[list[str], list[float]] | Rejected:

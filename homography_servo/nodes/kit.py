@@ -137,6 +137,11 @@ class NodeKit:
                 self._failed(callback, error)
         return guard
 
+    def age_s(self, header: Any) -> float:
+        """Give the age of the stamp of a message by the clock of the node."""
+        now = self.get_clock().now().nanoseconds
+        return 1e-9 * (now - 1_000_000_000 * header.stamp.sec - header.stamp.nanosec)
+
     def count(self, what: str, number: int = 1) -> None:
         """Add to a counter shown in the diagnostics."""
         self.counts[what] += number

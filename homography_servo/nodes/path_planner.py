@@ -26,6 +26,7 @@ from homography_servo.nodes.kit import NodeKit
 from homography_servo.nodes.kit import OK
 from homography_servo.nodes.kit import SHORT
 from homography_servo.nodes.kit import WARN
+from homography_servo.nodes.pace import Pace
 from homography_servo.nodes.parameters import Parameters
 from homography_servo.nodes.path_markers import image_marker
 from homography_servo.nodes.path_markers import marker_array
@@ -91,6 +92,7 @@ class PathPlanner(NodeKit, Node):
         self._desk = PlanningDesk(points_m, self._robot, self._settings[PlannerSettings],
                                   self._settings[ObserverSettings])
         self._last_sentence = 'no plan yet'
+        self._pace = Pace('pose')
         self._covariances: dict[str, np.ndarray] = {}
         self._publish_to()
         self._transforms = Transforms(self, camera_frames(self._desk.home_depth_m))
@@ -156,6 +158,7 @@ class PathPlanner(NodeKit, Node):
         header = Header(stamp=msg.header.stamp, frame_id='home')
         self._pose.publish(pose_covariance_msg(
             estimate.home_from_object, estimate.covariance, header))
+        self._pace.note(time.monotonic(), self.age_s(header))
         self._transforms.send([Frame('home', 'object', estimate.home_from_object)], header.stamp)
         if self._candidates.get_subscription_count():
             self._candidates.publish(pose_array_msg(
@@ -218,6 +221,7 @@ class PathPlanner(NodeKit, Node):
         missing = self._desk.missing(time.monotonic())
         facts = {'corner_noise_px': float(self._desk.noise_px)}
         inputs = Health('inputs', WARN if missing else OK, missing or 'all is there', facts)
+        facts.update(self._pace.facts(time.monotonic()))
         return [inputs, Health('plan', OK, self._last_sentence)]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 import time
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PolygonStamped
 from homography_servo.nodes.conversions import bgr_from_image
 from homography_servo.nodes.conversions import camera_from_info
@@ -12,15 +13,18 @@ from homography_servo.nodes.conversions import corners_from_polygon
 from homography_servo.nodes.conversions import covariance_msg
 from homography_servo.nodes.conversions import grey_from_image
 from homography_servo.nodes.conversions import image_msg
+from homography_servo.nodes.conversions import image_path_from_msg
 from homography_servo.nodes.conversions import polygon_msg
 from homography_servo.nodes.conversions import seconds_from_stamp
 from homography_servo.nodes.kit import DEFAULT
 from homography_servo.nodes.kit import Health
 from homography_servo.nodes.kit import images_qos
+from homography_servo.nodes.kit import LATCHED
 from homography_servo.nodes.kit import newest_image_qos
 from homography_servo.nodes.kit import NodeKit
 from homography_servo.nodes.kit import OK
 from homography_servo.nodes.kit import WARN
+from homography_servo.nodes.pace import Pace
 from homography_servo.nodes.parameters import Parameters
 from homography_servo.nodes.run import run_node
 from homography_servo.result import Rejected
@@ -29,6 +33,7 @@ from homography_servo.settings import real
 from homography_servo.settings import reals
 from homography_servo.settings import Settings
 from homography_servo.tracking.frame_order import FrameOrder
+from homography_servo.tracking.overlay import draw_path
 from homography_servo.tracking.overlay import draw_track
 from homography_servo.tracking.tracker import Track
 from homography_servo.tracking.tracker import Tracker
@@ -82,7 +87,10 @@ class SnakeTracker(NodeKit, Node):
                                 None, own.box_height_m)
         self._order, self._track = FrameOrder(), None
         self._predicted: tuple[float, np.ndarray] | None = None
+        self._path_px: np.ndarray | None = None  # shown in the annotated image
+        self._target: int | None = None
         self._shown_state, self._image_at_s, self._took_ms = '', None, 0.0
+        self._pace = Pace('corners')
         self._publish_to()
         self._listen_to(own)
         self.every(WATCH_PERIOD_S, self._watch)
@@ -102,6 +110,8 @@ class SnakeTracker(NodeKit, Node):
         self.listen(Image, 'image', self._on_image, qos)
         self.listen(CameraInfo, 'camera_info', self._on_camera, newest_image_qos(False))
         self.listen(PolygonStamped, 'object/predicted_corners', self._on_predicted)
+        self.listen(Float64MultiArray, 'path/image', self._on_path, LATCHED)
+        self.listen(DiagnosticStatus, 'visual_servo/progress', self._on_progress)
         self.serve(Trigger, '~/reset', self._on_reset)
 
     # Inputs.
@@ -136,6 +146,17 @@ class SnakeTracker(NodeKit, Node):
         elif corners_px is not None:
             self._predicted = (seconds_from_stamp(msg.header.stamp), corners_px)
 
+    def _on_path(self, msg: Float64MultiArray) -> None:
+        path_px = image_path_from_msg(msg)
+        if isinstance(path_px, Rejected):
+            self.reject('path_image', path_px.reason)
+        else:
+            self._path_px, self._target = path_px, None
+
+    def _on_progress(self, msg: DiagnosticStatus) -> None:
+        pose = next((pair.value for pair in msg.values if pair.key == 'pose'), '')
+        self._target = int(pose) - 1 if pose.isdecimal() else None
+
     def _on_reset(self, _request) -> tuple[bool, str]:
         self._tracker.reset()
         self._show_state()
@@ -166,12 +187,14 @@ class SnakeTracker(NodeKit, Node):
         if track.corners_px is not None:
             self._covariance.publish(covariance_msg(track.covariance_px2, msg.header))
         self._corners.publish(polygon_msg(track.corners_px, msg.header))
+        self._pace.note(time.monotonic(), self.age_s(msg.header))
         if self._contour.get_subscription_count():
             self._contour.publish(polygon_msg(track.contour_px, msg.header))
         self._show_state()
         self.count(f'frames_{track.state.lower()}')
         if self._annotated.get_subscription_count():
-            picture = draw_track(bgr_from_image(msg), track)
+            picture = draw_path(bgr_from_image(msg), self._path_px, self._target)
+            picture = draw_track(picture, track)
             self._annotated.publish(image_msg(picture, msg.header))
 
     def _show_state(self) -> None:
@@ -183,6 +206,7 @@ class SnakeTracker(NodeKit, Node):
         """Report state and quality of the last image."""
         track = self._track
         values = {'frame_ms': self._took_ms, 'camera_known': self._tracker.camera is not None}
+        values.update(self._pace.facts(time.monotonic()))
         if track is not None and track.quality is not None:
             quality = track.quality
             values.update(inlier_share=quality.inlier_share, contrast=quality.contrast,

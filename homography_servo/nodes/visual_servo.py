@@ -28,6 +28,7 @@ from homography_servo.nodes.kit import newest_image_qos
 from homography_servo.nodes.kit import NodeKit
 from homography_servo.nodes.kit import OK
 from homography_servo.nodes.kit import WARN
+from homography_servo.nodes.pace import Pace
 from homography_servo.nodes.parameters import Parameters
 from homography_servo.nodes.run import run_node
 from homography_servo.places import load_named
@@ -90,6 +91,8 @@ class VisualServo(NodeKit, Node):
         self._verdict_msg: DiagnosticArray | None = None
         self._plan_msg: JointTrajectory | None = None
         self._calibration: CalibrationRun | None = None
+        self._look_header: Header | None = None
+        self._pace = Pace('command')
         self._ended_as = ''  # how a calibration ended, until the next start
         self._shown_state, self._shown_progress = '', None
         self._publish_to()
@@ -184,6 +187,8 @@ class VisualServo(NodeKit, Node):
             pose = self._servo.add_look(pose, covariance, stamp_s, time.monotonic())
         if isinstance(pose, Rejected):
             self.reject('object_pose', pose.reason)
+        else:
+            self._look_header = msg.header
         self._tick()
 
     def _on_tracker(self, msg: String) -> None:
@@ -274,6 +279,8 @@ class VisualServo(NodeKit, Node):
         command = active.tick(now_s)
         if command is not None:
             self._commands.publish(self._trajectory(command))
+            if self._look_header is not None and len(command.points_rad):
+                self._pace.note(now_s, self.age_s(self._look_header))
         if self._calibration is not None and not self._calibration.active:
             self._end_calibration()
         if self._state_text != self._shown_state:
@@ -320,7 +327,8 @@ class VisualServo(NodeKit, Node):
             WARN if self._servo.state == HOLD else OK
         values = {**self._servo.progress._asdict(), 'looks_in_filter': self._servo.filter.looks,
                   'surprise': self._servo.filter.surprise,
-                  'poses_passed_over': self._servo.passed_over}
+                  'poses_passed_over': self._servo.passed_over,
+                  **self._pace.facts(time.monotonic())}
         return [Health('servo', level, self._state_text, values)]
 
     def on_fault(self, error: Exception) -> None:

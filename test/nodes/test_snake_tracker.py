@@ -8,11 +8,17 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
-from geometry_msgs.msg import PolygonStamped  # noqa: E402, I100
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402,I100
+from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
+from diagnostic_msgs.msg import KeyValue  # noqa: E402
+from geometry_msgs.msg import PolygonStamped  # noqa: E402
+from homography_servo.nodes.conversions import bgr_from_image  # noqa: E402
 from homography_servo.nodes.kit import images_qos  # noqa: E402
 from homography_servo.nodes.kit import LATCHED  # noqa: E402
+from homography_servo.nodes.path_messages import image_path_msg  # noqa: E402
 from sensor_msgs.msg import CameraInfo  # noqa: E402
 from sensor_msgs.msg import Image  # noqa: E402
+from std_msgs.msg import Float64MultiArray  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
@@ -152,6 +158,44 @@ def test_annotated_image_only_on_demand_and_camera_info_is_used(camera):
     camera.probe.wait(lambda: camera.show(camera.message(picture())) is not None and pictures,
                       'no annotated image')
     assert (pictures[-1].encoding, pictures[-1].width) == ('bgr8', 320)
+
+
+def test_the_annotated_image_shows_the_path_and_the_pose_aimed_at(camera):
+    probe = camera.probe
+    path_px = np.array([CORNERS_PX, CORNERS_PX + [60.0, 0.0], CORNERS_PX + [120.0, 30.0]])
+    paths = probe.publisher(Float64MultiArray, 'path/image', LATCHED)
+    paths.publish(image_path_msg(path_px))
+    progress = probe.publisher(DiagnosticStatus, 'visual_servo/progress')
+    pictures = probe.record(Image, 'snake_tracker/annotated_image', images_qos(False))
+    camera.show_until_tracking()
+    before, goal = path_px[1, 0] + [0, 30], path_px[2, 0] + [0, 30]
+
+    def shown(place):
+        camera.show(camera.message(picture()))
+        if not pictures:
+            return None
+        u, v = (int(round(value)) for value in place)
+        return bgr_from_image(pictures[-1])[v, u - 4:u + 5].astype(int)
+    probe.wait(lambda: (found := shown(goal)) is not None and np.ptp(found, axis=0).max() > 60,
+               'the goal is not drawn')
+    assert np.ptp(shown(before), axis=0).max() < 60  # only noise there
+    paths.publish(image_path_msg(path_px[:, :, :1]))  # useless: left out
+    progress.publish(DiagnosticStatus(values=[KeyValue(key='pose', value='2')]))
+    probe.wait(lambda: np.ptp(shown(before), axis=0).max() > 60, 'the target is not drawn')
+
+
+def test_the_diagnostics_tell_rate_and_latency(camera):
+    heard = camera.probe.record(DiagnosticArray, '/diagnostics')
+
+    def told():
+        stamp_ms = camera.probe.node.get_clock().now().nanoseconds // 1_000_000
+        camera.show(camera.message(picture(), stamp=stamp_ms))
+        return [item for msg in heard for status in msg.status for item in status.values
+                if item.key == 'corners_latency_ms']
+    found = camera.probe.wait(told, 'no latency in the diagnostics')
+    assert 0.0 < float(found[-1].value) < 2000.0
+    assert any(item.key == 'corners_rate_hz' and float(item.value) > 0.0
+               for msg in heard for status in msg.status for item in status.values)
 
 
 def test_without_images_the_state_is_lost(start_node, probe):
