@@ -43,7 +43,7 @@ def test_a_wrong_placement_is_found_and_written(start_node, probe, tmp_path):
     joints = probe.record(JointState, 'joint_states')
     states = {name: probe.record(String, f'{name}/state', LATCHED)
               for name in ('snake_tracker', 'robix_bridge')}
-    probe.wait(lambda: joints and states['robix_bridge']
+    probe.wait(lambda: joints and all(states.values())
                and states['robix_bridge'][-1].data == 'IDLE', 'the arm is not ready')
     target = np.radians(VIEW_DEG)
     probe.publisher(JointState, 'joint_commands', 1).publish(
