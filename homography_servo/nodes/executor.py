@@ -21,7 +21,6 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
 STATUS_PERIOD_S = 1.0
-_KINDS = ('service', 'timer', 'subscription', 'guard_condition')
 
 
 class PromptExecutor(SingleThreadedExecutor):
@@ -43,7 +42,7 @@ class PromptExecutor(SingleThreadedExecutor):
         self._stale = True
         self._status_due_s = 0.0
         self._wait_set: Any = None
-        self._handles: dict[str, list] = {}
+        self._waited_for: list[tuple[Callable, Any]] = []
         self._takers: dict[str, dict[int, tuple[Callable, Any]]] = {}
         self.add_node(node)
         self._gather()
@@ -63,7 +62,7 @@ class PromptExecutor(SingleThreadedExecutor):
             self._take_status()
         longest_s = STATUS_PERIOD_S if timeout_sec is None else min(timeout_sec, STATUS_PERIOD_S)
         for take, entity in self._ready(longest_s):
-            _run(take(entity))
+            _run(take, entity)
 
     def _gather(self) -> None:
         """List what the node has now."""
@@ -74,34 +73,33 @@ class PromptExecutor(SingleThreadedExecutor):
             'timer': [(item, self._take_due_timer) for item in node.timers],
             'subscription': [(item, self._take_subscription) for item in node.subscriptions],
             'guard_condition': [(item, self._take_guard_condition) for item in node.guards]}
-        self._handles = {kind: [item.handle for item, _ in pairs]
-                         for kind, pairs in entities.items()}
         self._takers = {kind: {item.handle.pointer: (take, item) for item, take in pairs}
                         for kind, pairs in entities.items()}
-        self._handles['guard_condition'] += [self._guard.handle, self._sigint_gc.handle]
-        counts = {kind: len(handles) for kind, handles in self._handles.items()}
-        self._wait_set = rclpy_implementation.WaitSet(
-            counts['subscription'], counts['guard_condition'], counts['timer'], 0,
-            counts['service'], 0, self._context.handle)
+        own = [self._guard.handle, self._sigint_gc.handle]
+        self._wait_set = waiting = rclpy_implementation.WaitSet(
+            len(entities['subscription']), len(entities['guard_condition']) + len(own),
+            len(entities['timer']), 0, len(entities['service']), 0, self._context.handle)
+        self._waited_for = [
+            (getattr(waiting, f'add_{kind}'), item.handle)
+            for kind, pairs in entities.items() for item, _ in pairs]
+        self._waited_for += [(waiting.add_guard_condition, handle) for handle in own]
 
     def _ready(self, timeout_s: float) -> list[tuple[Callable, Any]]:
         """Wait, and list what is ready with how to take it: services and timers first."""
         waiting = self._wait_set
         waiting.clear_entities()
-        for add, kind in ((waiting.add_service, 'service'), (waiting.add_timer, 'timer'),
-                          (waiting.add_subscription, 'subscription'),
-                          (waiting.add_guard_condition, 'guard_condition')):
-            for handle in self._handles[kind]:
-                add(handle)
+        for add, handle in self._waited_for:
+            add(handle)
         waiting.wait(max(int(1e9 * timeout_s), 0))
         if not self._context.ok():
             raise ExternalShutdownException()
-        return [self._takers[kind][pointer] for kind in _KINDS
-                for pointer in waiting.get_ready_entities(kind) if pointer in self._takers[kind]]
+        return [takers[pointer] for kind, takers in self._takers.items()
+                for pointer in waiting.get_ready_entities(kind) if pointer in takers]
 
     def _take_due_timer(self, timer: Any) -> Callable | None:
         # A timer that was cancelled or reset by a callback before it is not due any more.
-        return self._take_timer(timer) if timer.handle.is_timer_ready() else None
+        with timer.handle:
+            return self._take_timer(timer) if timer.handle.is_timer_ready() else None
 
     def _take_status(self) -> None:
         """Run what tells of the state of the middleware."""
@@ -116,7 +114,7 @@ class PromptExecutor(SingleThreadedExecutor):
         waiting.wait(0)
         for waitable in waitables:
             if waitable.is_ready(waiting):
-                _run(self._take_waitable(waitable))
+                _run(self._take_waitable, waitable)
 
 
 def executor_for(node: Node) -> SingleThreadedExecutor:
@@ -131,11 +129,12 @@ def executor_for(node: Node) -> SingleThreadedExecutor:
     return executor
 
 
-def _run(begin: Callable[[], Coroutine] | None) -> None:
-    """Run a callback to its end; ours never wait for anything."""
-    if begin is None:
-        return
+def _run(take: Callable[[Any], Callable[[], Coroutine] | None], entity: Any) -> None:
+    """Take what is there for an entity and run its callback to the end; ours never wait."""
     try:
+        begin = take(entity)
+        if begin is None:
+            return
         begin().send(None)
     except StopIteration:
         return

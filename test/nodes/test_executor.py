@@ -114,6 +114,23 @@ def test_what_is_destroyed_in_a_callback_is_not_served(served, probe):
     assert heard == ['once']
 
 
+def test_a_timer_that_another_destroys_is_not_run(served):
+    node, executor = served
+    ran, timers = [], []
+
+    def run():
+        ran.append(1)
+        for timer in timers:
+            node.destroy_timer(timer)
+        timers.clear()
+    timers += [node.create_timer(0.01, run) for _ in range(2)]
+    executor.spin_once(timeout_sec=0.0)  # both are waited for
+    time.sleep(0.03)  # both are due
+    for _ in range(5):
+        executor.spin_once(timeout_sec=0.02)
+    assert ran == [1]
+
+
 def test_another_thread_wakes_it(served):
     _, executor = served
     executor.spin_once(timeout_sec=0.0)
