@@ -55,6 +55,11 @@ def stamp_from_seconds(time_s: float) -> Time:
     return Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
 
 
+def stamp_text(stamp: Time) -> str:
+    """Write a time stamp down to the nanosecond."""
+    return f'{stamp.sec}.{stamp.nanosec:09d}'
+
+
 def seconds_from_duration(duration: Duration) -> float:
     """Give a duration in seconds."""
     return duration.sec + 1e-9 * duration.nanosec
@@ -174,9 +179,9 @@ def covariance_msg(covariance: np.ndarray, header: Header) -> Float64MultiArray:
     The message has no header, so its stamp travels as the label of the first axis.
     """
     size = len(covariance)
-    label = f'{header.stamp.sec}.{header.stamp.nanosec:09d}'
     msg = Float64MultiArray(data=[float(v) for v in np.asarray(covariance).ravel()])
-    msg.layout.dim = [MultiArrayDimension(label=label, size=size, stride=size * size),
+    stamp = stamp_text(header.stamp)
+    msg.layout.dim = [MultiArrayDimension(label=stamp, size=size, stride=size * size),
                       MultiArrayDimension(label='column', size=size, stride=size)]
     return msg
 
@@ -293,6 +298,17 @@ def trajectory_msg(names: Sequence[str], points_rad: Sequence[np.ndarray],
         msg.points.append(JointTrajectoryPoint(
             positions=[float(v) for v in joints_rad],
             time_from_start=duration_from_seconds(float(time_s))))
+    return msg
+
+
+def image_path_msg(corners_px: np.ndarray) -> Float64MultiArray:
+    """Make the path in the image: (N, M, 2) pixels, labelled pose, corner, uv."""
+    msg = Float64MultiArray()
+    sizes = corners_px.shape
+    for axis, (label, size) in enumerate(zip(('pose', 'corner', 'uv'), sizes)):
+        stride = int(np.prod(sizes[axis:]))
+        msg.layout.dim.append(MultiArrayDimension(label=label, size=int(size), stride=stride))
+    msg.data = [float(v) for v in corners_px.ravel()]
     return msg
 
 

@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from homography_servo.nodes.conversions import bgr_from_image
 from homography_servo.nodes.conversions import image_path_from_msg
 from homography_servo.nodes.conversions import LONGEST_PATH
+from homography_servo.nodes.progress import progress_from_msg
 from homography_servo.result import Rejected
 import numpy as np
 from sensor_msgs.msg import Image
@@ -75,24 +76,15 @@ def joints_fact(msg: JointState) -> tuple[list[str], list[float]] | Rejected:
 
 def progress_fact(msg: DiagnosticStatus) -> dict[str, Any]:
     """Give how far the servo is; what is not a number is None."""
-    values = {item.key: item.value for item in msg.values}
-    position_m, rotation_rad = (number(values.get(key)) for key in
-                                ('position_error_m', 'rotation_error_rad'))
-    return {'pose': number(values.get('pose')), 'of': number(values.get('of')),
-            'reached': values.get('reached') == 'true',
-            'iterations': number(values.get('iterations')),
-            'position_error_mm': None if position_m is None else round(1e3 * position_m, 4),
-            'rotation_error_deg': None if rotation_rad is None
-            else round(math.degrees(rotation_rad), 4)}
+    now = progress_from_msg(msg)
+    return {'pose': now.pose, 'of': now.of, 'reached': now.reached,
+            'iterations': now.iterations,
+            'position_error_mm': _rounded(1e3 * now.position_error_m),
+            'rotation_error_deg': _rounded(math.degrees(now.rotation_error_rad))}
 
 
-def number(text: str | None) -> float | None:
-    """Read a finite number, None for anything else."""
-    try:
-        value = float(text)
-    except (TypeError, ValueError):
-        return None
-    return value if math.isfinite(value) else None
+def _rounded(value: float) -> float | None:
+    return round(value, 4) if math.isfinite(value) else None
 
 
 def jpeg_from_image(msg: Image, widest_px: int, quality: int) -> bytes | Rejected:

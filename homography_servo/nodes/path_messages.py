@@ -14,9 +14,7 @@ from homography_servo.planning.planner import Plan
 from homography_servo.planning.verdict import Verdict
 from homography_servo.robot.robot_file import Robot
 import numpy as np
-from std_msgs.msg import Float64MultiArray
 from std_msgs.msg import Header
-from std_msgs.msg import MultiArrayDimension
 from trajectory_msgs.msg import JointTrajectory
 
 AMBIGUOUS = 0.5
@@ -66,17 +64,6 @@ def _single(verdict: Verdict, k: int, joint_names: tuple[str, ...] | None) -> Di
         level = WARN
         sentence = f'its mirror looks nearly the same (ambiguity {facts["ambiguity"]:.2f})'
     return status_msg('path_planner', Health(f'pose {k + 1}', level, sentence, facts))
-
-
-def image_path_msg(corners_px: np.ndarray) -> Float64MultiArray:
-    """Make the path in the image: (N, M, 2) pixels, labelled pose, corner, uv."""
-    msg = Float64MultiArray()
-    sizes = corners_px.shape
-    for axis, (label, size) in enumerate(zip(('pose', 'corner', 'uv'), sizes)):
-        stride = int(np.prod(sizes[axis:]))
-        msg.layout.dim.append(MultiArrayDimension(label=label, size=int(size), stride=stride))
-    msg.data = [float(v) for v in corners_px.ravel()]
-    return msg
 
 
 def predicted_trajectory_msg(plan: Plan, robot: Robot | None, header: Header) -> JointTrajectory:

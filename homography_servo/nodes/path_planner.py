@@ -14,11 +14,13 @@ from homography_servo.geometry.face import face_corners
 from homography_servo.nodes.conversions import camera_from_info
 from homography_servo.nodes.conversions import corners_from_polygon
 from homography_servo.nodes.conversions import covariance_from_msg
+from homography_servo.nodes.conversions import image_path_msg
 from homography_servo.nodes.conversions import joints_from_state
 from homography_servo.nodes.conversions import pose_array_msg
 from homography_servo.nodes.conversions import pose_covariance_msg
 from homography_servo.nodes.conversions import seconds_from_stamp
 from homography_servo.nodes.conversions import stamp_label
+from homography_servo.nodes.conversions import stamp_text
 from homography_servo.nodes.conversions import transform_from_pose
 from homography_servo.nodes.kit import Health
 from homography_servo.nodes.kit import newest_image_qos
@@ -30,7 +32,6 @@ from homography_servo.nodes.pace import Pace
 from homography_servo.nodes.parameters import Parameters
 from homography_servo.nodes.path_markers import image_marker
 from homography_servo.nodes.path_markers import marker_array
-from homography_servo.nodes.path_messages import image_path_msg
 from homography_servo.nodes.path_messages import predicted_trajectory_msg
 from homography_servo.nodes.path_messages import verdict_msg
 from homography_servo.nodes.run import run_node
@@ -149,8 +150,7 @@ class PathPlanner(NodeKit, Node):
             self.count('corners_empty')
             self._desk.lose_sight()
             return
-        stamp = msg.header.stamp
-        covariance = self._covariances.get(f'{stamp.sec}.{stamp.nanosec:09d}')
+        covariance = self._covariances.get(stamp_text(msg.header.stamp))
         estimate = self._desk.see(corners_px, time.monotonic(), self._stamp_s(msg.header),
                                   covariance)
         if not self._taken('corners', estimate):
@@ -219,9 +219,9 @@ class PathPlanner(NodeKit, Node):
     def diagnose(self) -> list[Health]:
         """Tell what is missing, the noise of the corners and the last plan."""
         missing = self._desk.missing(time.monotonic())
-        facts = {'corner_noise_px': float(self._desk.noise_px)}
+        facts = {'corner_noise_px': float(self._desk.noise_px),
+                 **self._pace.facts(time.monotonic())}
         inputs = Health('inputs', WARN if missing else OK, missing or 'all is there', facts)
-        facts.update(self._pace.facts(time.monotonic()))
         return [inputs, Health('plan', OK, self._last_sentence)]
 
 

@@ -26,6 +26,7 @@ from homography_servo.nodes.kit import OK
 from homography_servo.nodes.kit import WARN
 from homography_servo.nodes.pace import Pace
 from homography_servo.nodes.parameters import Parameters
+from homography_servo.nodes.progress import progress_from_msg
 from homography_servo.nodes.run import run_node
 from homography_servo.result import Rejected
 from homography_servo.settings import flag
@@ -154,8 +155,8 @@ class SnakeTracker(NodeKit, Node):
             self._path_px, self._target = path_px, None
 
     def _on_progress(self, msg: DiagnosticStatus) -> None:
-        pose = next((pair.value for pair in msg.values if pair.key == 'pose'), '')
-        self._target = int(pose) - 1 if pose.isdecimal() else None
+        pose = progress_from_msg(msg).pose
+        self._target = pose - 1 if pose > 0 else None
 
     def _on_reset(self, _request) -> tuple[bool, str]:
         self._tracker.reset()

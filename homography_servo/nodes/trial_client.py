@@ -138,14 +138,18 @@ class TrialClient:
     def call(self, kind: type, name: str, request: Any, timeout_s: float = 15.0) -> Any:
         """Call a service and give its answer."""
         if name not in self._services:
-            client = self._services[name] = self.node.create_client(kind, name)
-            self.wait(client.service_is_ready, timeout_s, f'service {name} did not appear')
+            self._services[name] = self.node.create_client(kind, name)
+            self._met(name, timeout_s)
             self.settle()  # an answer to somebody not yet known there is dropped
-        client = self._services[name]
-        self.wait(client.service_is_ready, timeout_s, f'service {name} did not appear')
+        client = self._met(name, timeout_s)
         future = client.call_async(request)
         self.wait(future.done, timeout_s, f'service {name} did not answer')
         return future.result()
+
+    def _met(self, name: str, timeout_s: float) -> Any:
+        client = self._services[name]
+        self.wait(client.service_is_ready, timeout_s, f'service {name} did not appear')
+        return client
 
     def trigger(self, name: str, timeout_s: float = 15.0) -> str:
         """Call a Trigger service; a refusal ends the trial with its sentence."""

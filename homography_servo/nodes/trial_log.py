@@ -18,10 +18,12 @@ from homography_servo.experiments.trial_data import TrialData
 from homography_servo.experiments.trial_data import true_error
 from homography_servo.nodes.conversions import camera_from_info
 from homography_servo.nodes.conversions import corners_from_polygon
+from homography_servo.nodes.conversions import image_path_from_msg
 from homography_servo.nodes.conversions import pixels_from_image
 from homography_servo.nodes.conversions import points_from_polygon
 from homography_servo.nodes.conversions import transform_from_pose
 from homography_servo.nodes.conversions import transforms_from_poses
+from homography_servo.nodes.progress import progress_from_msg
 from homography_servo.result import Rejected
 import numpy as np
 
@@ -98,9 +100,9 @@ class TrialLog:
             self.plan.home_from_object = poses
 
     def _on_path_image(self, msg: Any, time_s: float) -> None:
-        shape = [dim.size for dim in msg.layout.dim]
-        if len(shape) == 3 and np.prod(shape) == len(msg.data):
-            self.plan.corners_px = np.array(msg.data, dtype=float).reshape(shape)
+        corners_px = _usable(image_path_from_msg(msg))
+        if corners_px is not None:
+            self.plan.corners_px = corners_px
 
     def _on_path_joints(self, msg: Any, time_s: float) -> None:
         self.plan.joint_names = list(msg.joint_names)
@@ -113,19 +115,13 @@ class TrialLog:
             for status in msg.status]
 
     def _on_progress(self, msg: Any, time_s: float) -> None:
-        values = {pair.key: pair.value for pair in msg.values}
-        if not self.running or not values.get('pose', '').isdigit():
+        now = progress_from_msg(msg)
+        errors = now.position_error_m, now.rotation_error_rad
+        if not self.running or now.pose < 1 or not np.isfinite(errors).all():
             return
-        index = int(values['pose'])
-        if index < 1:
-            return
-        errors = [float(values[key]) for key in ('position_error_m', 'rotation_error_rad')]
-        if not np.isfinite(errors).all():
-            return
-        record = PoseRecord(index, int(values['iterations']), self._joints_now(), *errors,
-                            reached=values.get('reached', 'false').lower() == 'true',
-                            time_s=time_s - self._start_s)
-        self.data.errors.append((record.time_s, index, *errors))
+        record = PoseRecord(now.pose, now.iterations, self._joints_now(), *errors,
+                            reached=now.reached, time_s=time_s - self._start_s)
+        self.data.errors.append((record.time_s, now.pose, *errors))
         self._keep(record)
 
     def _keep(self, record: PoseRecord) -> None:

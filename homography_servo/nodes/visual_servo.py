@@ -7,7 +7,6 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 from diagnostic_msgs.msg import DiagnosticStatus
-from diagnostic_msgs.msg import KeyValue
 from geometry_msgs.msg import PolygonStamped
 from geometry_msgs.msg import PoseArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -30,6 +29,7 @@ from homography_servo.nodes.kit import OK
 from homography_servo.nodes.kit import WARN
 from homography_servo.nodes.pace import Pace
 from homography_servo.nodes.parameters import Parameters
+from homography_servo.nodes.progress import progress_msg
 from homography_servo.nodes.run import run_node
 from homography_servo.places import load_named
 from homography_servo.planning.calibration import calibration_poses
@@ -242,6 +242,10 @@ class VisualServo(NodeKit, Node):
         self._calibrate.answer(True, sentence)
 
     @property
+    def _level(self) -> bytes:
+        return {FAILED: ERROR, HOLD: WARN}.get(self._servo.state, OK)
+
+    @property
     def _active(self) -> bool:
         return self._servo.active or self._calibration is not None
 
@@ -290,21 +294,15 @@ class VisualServo(NodeKit, Node):
                 self.get_logger().warning(self._shown_state)
         if self._servo.progress is not self._shown_progress:
             self._shown_progress = self._servo.progress
-            self._progress.publish(self._progress_msg())
+            self._progress.publish(progress_msg(
+                f'{self.get_name()}: progress', self._level, self._servo.state_text,
+                self._servo.progress))
 
     def _trajectory(self, command: Command) -> JointTrajectory:
         msg = trajectory_msg(self._robot.joint_names, command.points_rad, command.times_s)
         for point, velocity in zip(msg.points, command.velocities_rad_s):
             point.velocities = [float(v) for v in velocity]
         return msg  # one without points means stop
-
-    def _progress_msg(self) -> DiagnosticStatus:
-        values = [KeyValue(key=key, value=_shown(value))
-                  for key, value in self._servo.progress._asdict().items()]
-        level = ERROR if self._servo.state == FAILED else \
-            WARN if self._servo.state == HOLD else OK
-        return DiagnosticStatus(name=f'{self.get_name()}: progress', level=level,
-                                message=self._servo.state_text, values=values)
 
     def _predict_corners(self, joints_rad: np.ndarray, header: Header) -> None:
         if self._camera is None:
@@ -323,13 +321,11 @@ class VisualServo(NodeKit, Node):
 
     def diagnose(self) -> list[Health]:
         """Report the state and the last errors."""
-        level = ERROR if self._servo.state == FAILED else \
-            WARN if self._servo.state == HOLD else OK
         values = {**self._servo.progress._asdict(), 'looks_in_filter': self._servo.filter.looks,
                   'surprise': self._servo.filter.surprise,
                   'poses_passed_over': self._servo.passed_over,
                   **self._pace.facts(time.monotonic())}
-        return [Health('servo', level, self._state_text, values)]
+        return [Health('servo', self._level, self._state_text, values)]
 
     def on_fault(self, error: Exception) -> None:
         """Stop when the servo itself failed."""
@@ -359,12 +355,6 @@ def lead_from(verdict: DiagnosticArray, plan: JointTrajectory | None,
             or len(plan.points) != len(led) or tuple(plan.joint_names) != joint_names:
         return None
     return JointLead(np.array([point.positions for point in plan.points]), led)
-
-
-def _shown(value) -> str:
-    if isinstance(value, bool):
-        return 'true' if value else 'false'
-    return f'{value:.6g}' if isinstance(value, float) else str(value)
 
 
 def main(args=None) -> int:

@@ -19,11 +19,11 @@ from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from diagnostic_msgs.msg import KeyValue  # noqa: E402
 from homography_servo.nodes.conversions import image_msg  # noqa: E402
+from homography_servo.nodes.conversions import image_path_msg  # noqa: E402
 from homography_servo.nodes.conversions import joint_state_msg  # noqa: E402
 from homography_servo.nodes.conversions import trajectory_msg  # noqa: E402
 from homography_servo.nodes.kit import images_qos  # noqa: E402
 from homography_servo.nodes.kit import LATCHED  # noqa: E402
-from homography_servo.nodes.path_messages import image_path_msg  # noqa: E402
 from homography_servo.places import find_config  # noqa: E402
 from homography_servo.robot.robot_file import load_robot  # noqa: E402
 from sensor_msgs.msg import Image  # noqa: E402

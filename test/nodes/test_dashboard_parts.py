@@ -167,12 +167,6 @@ def test_joint_states_that_make_no_sense_are_refused(names, positions):
     assert isinstance(facts.joints_fact(JointState(name=names, position=positions)), Rejected)
 
 
-@pytest.mark.parametrize('text, value', [
-    ('1.5', 1.5), ('nan', None), ('inf', None), ('three', None), ('', None), (None, None)])
-def test_numbers_are_read_or_left_out(text, value):
-    assert facts.number(text) == value
-
-
 @pytest.mark.parametrize('width, shown', [(64, 64), (400, 200)])
 def test_wide_pictures_are_made_smaller_in_proportion(width, shown):
     import cv2

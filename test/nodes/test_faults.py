@@ -48,8 +48,7 @@ class Loop:
         self.joints, self.moved_s = None, 0.0
         self._stamps_ahead_s = time.time() - time.monotonic()
         probe.node.create_subscription(JointState, 'joint_states', self._on_joints, 10)
-        self.states = {name: probe.record(String, f'{name}/state', LATCHED)
-                       for name in ('visual_servo', 'snake_tracker', 'robix_bridge')}
+        self.states = {name: [] for name in ('visual_servo', 'snake_tracker', 'robix_bridge')}
         self.told = []  # (time, node, state), for the message of a failure
         for name in self.states:
             probe.node.create_subscription(
@@ -67,6 +66,7 @@ class Loop:
         self.joints = joints
 
     def _on_state(self, name: str, msg: String) -> None:
+        self.states[name].append(msg)
         self.told.append((time.monotonic(), name, msg.data))
 
     def _on_command(self, msg: JointTrajectory) -> None:

@@ -13,9 +13,9 @@ from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from diagnostic_msgs.msg import KeyValue  # noqa: E402
 from geometry_msgs.msg import PolygonStamped  # noqa: E402
 from homography_servo.nodes.conversions import bgr_from_image  # noqa: E402
+from homography_servo.nodes.conversions import image_path_msg  # noqa: E402
 from homography_servo.nodes.kit import images_qos  # noqa: E402
 from homography_servo.nodes.kit import LATCHED  # noqa: E402
-from homography_servo.nodes.path_messages import image_path_msg  # noqa: E402
 from sensor_msgs.msg import CameraInfo  # noqa: E402
 from sensor_msgs.msg import Image  # noqa: E402
 from std_msgs.msg import Float64MultiArray  # noqa: E402
