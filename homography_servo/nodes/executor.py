@@ -11,6 +11,7 @@ once a second. ``benchmark latency`` measures what that is worth.
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 import time
 from typing import Any, Callable, Coroutine
 
@@ -19,13 +20,14 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.task import Task
 
 STATUS_PERIOD_S = 1.0
 
 
 class PromptExecutor(SingleThreadedExecutor):
     """
-    An executor for one node without clients of services.
+    An executor for one node.
 
     Everything runs in the thread that calls `spin_once`; other threads may call `wake`.
 
@@ -43,6 +45,7 @@ class PromptExecutor(SingleThreadedExecutor):
         self._status_due_s = 0.0
         self._wait_set: Any = None
         self._waited_for: list[tuple[Callable, Any]] = []
+        self._held = ExitStack()
         self._takers: dict[str, dict[int, tuple[Callable, Any]]] = {}
         self.add_node(node)
         self._gather()
@@ -51,6 +54,17 @@ class PromptExecutor(SingleThreadedExecutor):
         """Return from waiting; rclpy calls this when the node has something new, too."""
         self._stale = True
         super().wake()
+
+    def remove_node(self, node: Node) -> None:
+        """Serve the node no longer; it may be destroyed then."""
+        super().remove_node(node)
+        self._held.close()
+
+    def create_task(self, callback: Callable, *args: Any, **kwargs: Any) -> Task:
+        """Run at once what follows the answer of a service."""
+        task = Task(callback, args, kwargs)
+        task()
+        return task
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
         """Wait until something is there, at most for a time, and run all of it once."""
@@ -70,19 +84,28 @@ class PromptExecutor(SingleThreadedExecutor):
         node = self._served
         entities = {
             'service': [(item, self._take_service) for item in node.services],
+            'client': [(item, self._take_client) for item in node.clients],
             'timer': [(item, self._take_due_timer) for item in node.timers],
             'subscription': [(item, self._take_subscription) for item in node.subscriptions],
             'guard_condition': [(item, self._take_guard_condition) for item in node.guards]}
-        self._takers = {kind: {item.handle.pointer: (take, item) for item, take in pairs}
-                        for kind, pairs in entities.items()}
         own = [self._guard.handle, self._sigint_gc.handle]
         self._wait_set = waiting = rclpy_implementation.WaitSet(
             len(entities['subscription']), len(entities['guard_condition']) + len(own),
-            len(entities['timer']), 0, len(entities['service']), 0, self._context.handle)
-        self._waited_for = [
-            (getattr(waiting, f'add_{kind}'), item.handle)
-            for kind, pairs in entities.items() for item, _ in pairs]
-        self._waited_for += [(waiting.add_guard_condition, handle) for handle in own]
+            len(entities['timer']), len(entities['client']), len(entities['service']), 0,
+            self._context.handle)
+        self._waited_for = [(waiting.add_guard_condition, handle) for handle in own]
+        self._takers = {kind: {} for kind in entities}
+        # Handles are held, or another thread might destroy what is being waited for.
+        before, self._held = self._held, ExitStack()
+        for kind, pairs in entities.items():
+            for item, take in pairs:
+                try:
+                    self._held.enter_context(item.handle)
+                except InvalidHandle:  # destroyed just now
+                    continue
+                self._waited_for.append((getattr(waiting, f'add_{kind}'), item.handle))
+                self._takers[kind][item.handle.pointer] = take, item
+        before.close()
 
     def _ready(self, timeout_s: float) -> list[tuple[Callable, Any]]:
         """Wait, and list what is ready with how to take it: services and timers first."""
@@ -119,11 +142,10 @@ class PromptExecutor(SingleThreadedExecutor):
 
 def executor_for(node: Node) -> SingleThreadedExecutor:
     """Give the prompt executor where it can be used, else the one of rclpy."""
-    if not list(node.clients):
-        try:
-            return PromptExecutor(node)
-        except (AttributeError, TypeError):  # an rclpy that is made otherwise inside
-            pass
+    try:
+        return PromptExecutor(node)
+    except (AttributeError, TypeError):  # an rclpy that is made otherwise inside
+        pass
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
     return executor

@@ -18,11 +18,11 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from homography_servo.experiments.bag import ANCHOR
 from homography_servo.experiments.bag_writer import BagWriter
 from homography_servo.experiments.bag_writer import Channel
+from homography_servo.nodes.executor import executor_for
 from homography_servo.nodes.kit import COMMANDS
 from homography_servo.nodes.kit import DEFAULT
 from homography_servo.nodes.kit import LATCHED
 from homography_servo.nodes.trial_log import ENDED
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy
 from rclpy.qos import QoSProfile
@@ -79,8 +79,7 @@ class Recorder:
         for topic, kind, qos in topics:
             self.node.create_subscription(
                 kind, topic, functools.partial(self._take, topic, kind, qos), qos, raw=True)
-        self._executor = SingleThreadedExecutor(context=context)
-        self._executor.add_node(self.node)
+        self._executor = executor_for(self.node)
         self._thread = threading.Thread(target=self._spin, name='recorder', daemon=True)
         self._thread.start()
 
@@ -114,8 +113,8 @@ class Recorder:
         """Wait for the end of the trial to be recorded, finish, and say how it went."""
         self._ended.wait(0.0 if self._bag.stopped else timeout_s)
         self._closing.set()
-        self._thread.join(timeout_s)
-        self._executor.shutdown(timeout_sec=timeout_s)
+        self._thread.join(SETTLE_S + timeout_s)
+        self._executor.remove_node(self.node)
         self.node.destroy_node()
         return self._bag.close()
 

@@ -9,6 +9,7 @@ a millisecond, from a thread that waits for it, whatever the executor is doing.
 from __future__ import annotations
 
 import ctypes
+import gc
 import os
 import signal
 import socket
@@ -151,12 +152,15 @@ def _run(node_type: type, watch: SignalWatch) -> int:
     except ServoError as error:
         return _say(error, EXIT_FAILED)
     executor = executor_for(node)
+    gc.collect()
+    gc.freeze()  # what lives as long as the node is not looked at again: 30 ms each time
     watch.on_stop(node.on_signal)
     watch.on_stop(executor.wake)
     node.on_finish = executor.wake
     while not watch.stopped.is_set() and node.exit_code is None:
         executor.spin_once(timeout_sec=1.0)
     node.close()
+    executor.remove_node(node)
     node.destroy_node()
     return EXIT_OK if node.exit_code is None else node.exit_code
 

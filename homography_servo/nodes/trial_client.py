@@ -18,6 +18,7 @@ from geometry_msgs.msg import PoseStamped
 from homography_servo.errors import ServoError
 from homography_servo.nodes.conversions import joint_state_msg
 from homography_servo.nodes.conversions import joints_from_state
+from homography_servo.nodes.executor import executor_for
 from homography_servo.nodes.kit import COMMANDS
 from homography_servo.nodes.kit import DEFAULT
 from homography_servo.nodes.kit import images_qos
@@ -30,7 +31,6 @@ from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import SetParameters
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import CameraInfo
@@ -83,8 +83,7 @@ class TrialClient:
         self.log = TrialLog()
         self._alive = alive
         self.node = Node('servo_trial')
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self.node)
+        self._executor = executor_for(self.node)
         self._heard = {
             topic: self.node.create_subscription(kind, topic, self._feeder(topic), qos)
             for topic, kind, qos in TOPICS}

@@ -131,6 +131,28 @@ def test_a_timer_that_another_destroys_is_not_run(served):
     assert ran == [1]
 
 
+def test_what_another_thread_destroys_may_be_waited_for(served, probe):
+    node, executor = served
+    publisher = probe.node.create_publisher(String, 'words', DEFAULT)
+    ending, heard = threading.Event(), []
+
+    def churn():
+        while not ending.is_set():
+            listener = node.create_subscription(String, 'words', heard.append, DEFAULT)
+            time.sleep(0.001)
+            node.destroy_subscription(listener)
+    thread = threading.Thread(target=churn)
+    thread.start()
+    try:
+        until_s = time.monotonic() + 2.0
+        while time.monotonic() < until_s:
+            publisher.publish(String(data='x'))
+            executor.spin_once(timeout_sec=0.001)
+    finally:
+        ending.set()
+        thread.join()
+
+
 def test_another_thread_wakes_it(served):
     _, executor = served
     executor.spin_once(timeout_sec=0.0)
@@ -163,8 +185,27 @@ def test_a_callback_that_waits_for_something_is_a_clear_error(served):
             executor.spin_once(timeout_sec=0.02)
 
 
-def test_a_node_that_calls_services_gets_the_executor_of_rclpy(served):
+def test_a_node_may_call_services_of_others(served, probe):
+    node, executor = served
+
+    def answer(_, response):
+        response.message = 'yes'
+        return response
+    probe.node.create_service(Trigger, 'ask', answer)
+    client = node.create_client(Trigger, 'ask')
+    until(executor, probe, client.service_is_ready)
+    probe.spin_for(0.3)  # an answer to somebody not yet known there is dropped
+    future, followed = client.call_async(Trigger.Request()), []
+    future.add_done_callback(lambda done: followed.append(done.result().message))
+    until(executor, probe, lambda: followed)
+    assert followed == ['yes'] and future.done()
+
+
+def test_an_rclpy_that_is_made_otherwise_inside_is_served_its_own_way(served, monkeypatch):
     node, _ = served
     node.executor.remove_node(node)
-    node.create_client(Trigger, 'somewhere')
+
+    def missing(self):
+        raise AttributeError('no such thing in this rclpy')
+    monkeypatch.setattr(PromptExecutor, '_gather', missing)
     assert type(executor_for(node)) is SingleThreadedExecutor
