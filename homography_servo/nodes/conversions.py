@@ -23,9 +23,10 @@ from geometry_msgs.msg import PoseStamped
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from homography_servo.geometry.camera import Camera
 from homography_servo.geometry.camera import camera_from_calibration
+from homography_servo.geometry.quaternion import quaternion_of
+from homography_servo.geometry.quaternion import rotation_of
 from homography_servo.result import Rejected
 import numpy as np
-from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import Image
 from sensor_msgs.msg import JointState
@@ -205,26 +206,22 @@ def pose_msg(a_from_b: np.ndarray) -> Pose:
     """Make a pose message of a (4, 4) transform."""
     pose = Pose()
     pose.position.x, pose.position.y, pose.position.z = (float(v) for v in a_from_b[:3, 3])
-    # A copy, because scipy 1.11 refuses arrays that may not be written.
-    quaternion = Rotation.from_matrix(np.array(a_from_b[:3, :3])).as_quat()
     q = pose.orientation
-    q.x, q.y, q.z, q.w = (float(v) for v in quaternion)
+    q.x, q.y, q.z, q.w = quaternion_of(a_from_b[:3, :3])
     return pose
 
 
 def transform_from_pose(msg: Pose) -> np.ndarray | Rejected:
     """Give the (4, 4) transform of a pose message."""
     p, q = msg.position, msg.orientation
-    position = np.array([p.x, p.y, p.z])
-    quaternion = np.array([q.x, q.y, q.z, q.w])
-    norm = float(np.linalg.norm(quaternion))
-    if not (np.isfinite(position).all() and np.isfinite(norm)):
+    norm = math.hypot(q.x, q.y, q.z, q.w)
+    if not all(map(math.isfinite, (p.x, p.y, p.z, norm))):
         return Rejected('the pose is not finite')
     if abs(norm - 1.0) > 1e-3:
         return Rejected(f'the quaternion has length {norm:.4g} instead of 1')
     a_from_b = np.eye(4)
-    a_from_b[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
-    a_from_b[:3, 3] = position
+    a_from_b[:3, :3] = rotation_of(q.x, q.y, q.z, q.w)
+    a_from_b[:3, 3] = p.x, p.y, p.z
     return a_from_b
 
 
