@@ -51,7 +51,8 @@ from sensor_msgs.msg import Image
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-SEND_PERIOD_S = 0.002  # how finely the delay is kept
+SEND_PERIOD_S = 0.002  # how often delayed pictures are looked at
+RENDER_AHEAD_S = 0.004  # a picture is begun this long before the moment that it shows
 SHORTEST_S = 1e-4  # between two moments of exposure
 MOST_WAITING = 2000
 
@@ -163,22 +164,23 @@ class CameraSim(NodeKit, Node):
         self._arm.report(joints_rad, velocity_from_state(msg, names), time.monotonic() - age_s)
 
     def _expose(self) -> None:
-        """Freeze the moment; the picture of it is rendered when it is sent."""
+        """Freeze a moment a little ahead; its picture is rendered just before it is sent."""
         settings = self._settings[CameraSimSettings]
         now, now_s = self.get_clock().now(), time.monotonic()
-        moment_s = max(self._arm.known_until(now_s), self._last_moment_s + SHORTEST_S)
+        moment_s = max(self._arm.known_until(now_s + RENDER_AHEAD_S),
+                       self._last_moment_s + SHORTEST_S)
         self._last_moment_s = moment_s
-        stamp = (now - Duration(seconds=max(0.0, now_s - moment_s))).to_msg()
+        stamp = (now + Duration(seconds=moment_s - now_s)).to_msg()
         self._index += 1
         if self._drops.uniform() < settings.drop_share:
             self.count('dropped')
             return
-        self._waiting.append(Shot(now_s + settings.delay_s, stamp, now_s - self._began_s,
+        self._waiting.append(Shot(moment_s + settings.delay_s, stamp, moment_s - self._began_s,
                                   self._index, self._arm.home_from_object(moment_s)))
         self._send_due()
 
     def _send_due(self) -> None:
-        while self._waiting and self._waiting[0].due_s <= time.monotonic():
+        while self._waiting and self._waiting[0].due_s <= time.monotonic() + RENDER_AHEAD_S:
             self._send(self._waiting.popleft())
 
     def _send(self, shot: Shot) -> None:
@@ -188,7 +190,9 @@ class CameraSim(NodeKit, Node):
         if self._settings[CameraSimSettings].encoding == 'bgr8':
             pixels = cv2.cvtColor(pixels, cv2.COLOR_GRAY2BGR)
         header = Header(stamp=shot.stamp, frame_id='camera_optical')
-        self._image.publish(image_msg(pixels, header))
+        msg = image_msg(pixels, header)
+        time.sleep(max(0.0, shot.due_s - time.monotonic()))  # rendering takes no time of its own
+        self._image.publish(msg)
         self._info.publish(camera_info_msg(self._camera, header))
         if self._true_corners.get_subscription_count():
             self._true_corners.publish(polygon_msg(frame.true_corners_px, header))
