@@ -37,6 +37,7 @@ from homography_servo.robot.trajectory import TrajectoryPoint
 from homography_servo.robot.trajectory import TrajectorySettings
 from homography_servo.robot.wire import rate_for
 from homography_servo.robot.wire import ServoWire
+from homography_servo.robot.wire import shortest_gap_s
 from homography_servo.settings import real
 from homography_servo.settings import Settings
 from homography_servo.settings import whole
@@ -102,7 +103,8 @@ class ArmDriver:
         self._lock = threading.RLock()
         self._answered = threading.Condition(self._lock)
         self._period_s = 1.0 / rate_for(settings.baud)
-        self._mover = Mover(robot, link, settings.joint_margin_rad, self._period_s)
+        self._mover = Mover(robot, link, settings.joint_margin_rad, self._period_s,
+                            shortest_gap_s(settings.baud))
         self._ready = self._was_ready = False
         self._misfit = ''
         self._latch = self._hold = ''

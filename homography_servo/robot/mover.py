@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 
 from homography_servo.result import Rejected
 from homography_servo.result import required
@@ -47,10 +48,13 @@ class Mover:
         Distance to keep from the ends of every joint.
     period_s : float
         Time between two targets of a stream.
+    shortest_s : float
+        Least time before the first target of a new trajectory.
 
     """
 
-    def __init__(self, robot: Robot, link: Link, margin_rad: float, period_s: float) -> None:
+    def __init__(self, robot: Robot, link: Link, margin_rad: float, period_s: float,
+                 shortest_s: float) -> None:
         self.limits = limits_of(robot, margin_rad)
         self.estimate = ArmEstimate()
         self.governor = Governor(*unit_range(robot, margin_rad), velocity_units_s(robot))
@@ -58,8 +62,9 @@ class Mover:
         self.next_due_s = 0.0
         self._link = link
         self._margin_rad = margin_rad
-        self._period_s = period_s
-        self._targets = TargetStream(robot, np.zeros(robot.count), 0.0, margin_rad)
+        self._period_s, self._shortest_s = period_s, shortest_s
+        self._streamed_s = -math.inf  # when the last target was due
+        self._targets = TargetStream(robot, np.zeros(robot.count), 0.0, margin_rad, period_s)
         self._wire: ServoWire | None = None
         self._pace: np.ndarray | None = None
         self._motion: _Motion | None = None
@@ -105,7 +110,7 @@ class Mover:
     def commanded(self, now_s: float) -> State:
         """Give what the arm is told now: the start of whatever comes next."""
         if self._motion and self._motion.streamed:
-            return self._targets.state
+            return self._targets.state_at(now_s)
         state = self.estimate.at(now_s)
         return State(np.clip(state.positions, self.limits.lower_rad, self.limits.upper_rad),
                      state.velocities)
@@ -127,7 +132,8 @@ class Mover:
         """Come to rest on the way."""
         if self._motion is None:
             return
-        trajectory = stop(self.limits, self.commanded(now_s))
+        told = self._targets.state if self._motion.streamed else self.commanded(now_s)
+        trajectory = stop(self.limits, told)
         self._follow(trajectory, self.wire.units(trajectory.goal, self._margin_rad), now_s)
 
     @property
@@ -160,7 +166,7 @@ class Mover:
         self._targets.follow(trajectory, now_s)
         self._arriving = None
         self._motion = _Motion(units, streamed=True, seq=seq)
-        self.next_due_s = min(self.next_due_s, now_s + self._period_s)
+        self.next_due_s = min(self.next_due_s, max(now_s, self._streamed_s + self._shortest_s))
 
     def _end_move(self, now_s: float) -> int:
         """
@@ -188,7 +194,8 @@ class Mover:
         motion = self._streamed()
         if motion is None or now_s < self.next_due_s or self._unanswered_seq or self._pace_seq:
             return  # a target would throw the pace out of the queue of the device
-        self.next_due_s = max(self.next_due_s + self._period_s, now_s)
+        self.next_due_s = max(self.next_due_s + self._period_s, now_s + self._shortest_s)
+        self._streamed_s = now_s
         wanted = self._targets.step(now_s)
         target = self.governor.step(wanted.units, now_s)
         if target is not None:

@@ -34,6 +34,9 @@ class TargetStream:
     """
     Walk along trajectories, one target a step.
 
+    A target is where the servos shall be one period after it is sent, when the next one
+    comes: so a new trajectory shows in its first target.
+
     The speed between any two targets is kept below the velocity limits as it will be on the
     wire: after rounding and by the times at which they are sent. Where the trajectory wants
     more, because steps come late or rounding adds up, it is followed later: all joints wait
@@ -49,13 +52,16 @@ class TargetStream:
         The time of any steady clock.
     margin_rad : float
         Margin of the limits at which rounding goes inwards.
+    period_s : float
+        Usual time between two steps.
 
     """
 
     def __init__(self, robot: Robot, units: np.ndarray, now_s: float,
-                 margin_rad: float = 0.0) -> None:
+                 margin_rad: float = 0.0, period_s: float = _USUAL_STEP_S) -> None:
         self._robot = robot
         self._margin_rad = margin_rad
+        self._period_s = period_s
         self._speed = velocity_units_s(robot)
         self._crawls = self._speed * _USUAL_STEP_S < 1.0
         self._range = unit_range(robot, margin_rad)
@@ -72,10 +78,22 @@ class TargetStream:
 
     @property
     def state(self) -> State:
-        """Positions and velocities commanded now: where a new trajectory starts."""
+        """Positions and velocities of the last target, before rounding: where a stop starts."""
+        return self._state(self._period_s)
+
+    def state_at(self, now_s: float) -> State:
+        """
+        Give positions and velocities commanded now: where a new trajectory starts.
+
+        That is between two targets. A trajectory that began at the last one would stand
+        still from then until now: commands that come faster than steps would stop the arm.
+        """
+        return self._state(min(max(now_s - self._now_s, 0.0), self._period_s))
+
+    def _state(self, ahead_s: float) -> State:
         if self._trajectory is None:
             return State(self._joints, np.zeros(self._robot.count))
-        sample = self._trajectory.sample(self._path_s)
+        sample = self._trajectory.sample(self._path_s + ahead_s)
         return State(sample.positions, sample.velocities)
 
     @property
@@ -84,7 +102,7 @@ class TargetStream:
         return self._trajectory
 
     def follow(self, trajectory: Trajectory, now_s: float) -> None:
-        """Replace what is followed; the trajectory starts at the `state` of now."""
+        """Replace what is followed; the trajectory starts at the `state_at` of now."""
         self._trajectory = trajectory
         self._path_s = self._late_s = 0.0
         self._now_s = float(now_s)
@@ -102,8 +120,9 @@ class TargetStream:
         self._units = units
         self._path_s += advance_s
         self._late_s += passed_s - advance_s
-        self._joints = self._trajectory.sample(self._path_s).positions
-        if self._path_s >= self._trajectory.duration_s:
+        aim_s = self._path_s + self._period_s
+        self._joints = self._trajectory.sample(aim_s).positions
+        if aim_s >= self._trajectory.duration_s:
             self._trajectory, self._path_s = None, 0.0
         return self._target()
 
@@ -116,7 +135,7 @@ class TargetStream:
         units = self._units_at(trajectory, passed_s)
         if self._slow_enough(units):
             return units, passed_s
-        low_s, high_s, best = 0.0, passed_s, self._units
+        low_s, high_s, best = 0.0, passed_s, self._towards(self._units_at(trajectory, 0.0))
         for _ in range(_HALVINGS):
             middle_s = 0.5 * (low_s + high_s)
             units = self._units_at(trajectory, middle_s)
@@ -127,15 +146,24 @@ class TargetStream:
         return best, low_s
 
     def _units_at(self, trajectory: Trajectory, advance_s: float) -> np.ndarray:
-        joints = trajectory.sample(self._path_s + advance_s).positions
+        joints = trajectory.sample(self._path_s + advance_s + self._period_s).positions
         units = to_units(self._robot, joints, self._margin_rad)
         # A trajectory keeps the limits; a servo that started outside them may only come back.
         return np.clip(units, np.minimum(self._range.low, self._units),
                        np.maximum(self._range.high, self._units))
 
     def _slow_enough(self, units: np.ndarray) -> bool:
+        return bool(np.all(np.abs(units - self._units) <= self._allowed()))
+
+    def _towards(self, units: np.ndarray) -> np.ndarray:
+        """Go as far towards a target as the speed allows, all joints by the same share."""
+        way = units - self._units
+        share = np.min(self._allowed() / np.maximum(np.abs(way), 1))
+        return self._units + np.trunc(min(share, 1.0) * way).astype(int)
+
+    def _allowed(self) -> np.ndarray:
+        """Give the largest step (n,) that each servo may make now."""
         allowed = self._speed * (self._now_s - self._stepped_s)
         # A joint that needs several steps for one unit takes it when its time has come.
         due = self._crawls & (self._speed * (self._now_s - self._changed_s) >= 1.0)
-        allowed = np.where(due, np.maximum(allowed, 1.0), allowed)
-        return bool(np.all(np.abs(units - self._units) <= allowed + 1e-9))
+        return np.where(due, np.maximum(allowed, 1.0), allowed) + 1e-9

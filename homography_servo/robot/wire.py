@@ -31,7 +31,12 @@ _ROOM = MAX_LINE - TAIL - 6  # characters of a line without number and CRC
 
 def rate_for(baud: int) -> float:
     """Give how often per second targets and positions can pass a line."""
-    return min(FASTEST_HZ, LINE_SHARE * baud / 10.0 / CYCLE_BYTES)
+    return min(FASTEST_HZ, 1.0 / shortest_gap_s(baud))
+
+
+def shortest_gap_s(baud: int) -> float:
+    """Give how soon after another a target may follow without filling the line."""
+    return 10.0 * CYCLE_BYTES / (LINE_SHARE * baud)
 
 
 class ServoWire:

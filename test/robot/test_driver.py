@@ -14,6 +14,7 @@ from homography_servo.robot.protocol import Request
 from homography_servo.robot.trajectory import TrajectoryPoint
 from homography_servo.robot.wire import rate_for
 from homography_servo.robot.wire import ServoWire
+from homography_servo.robot.wire import shortest_gap_s
 from link_setup import decoded
 from link_setup import Judge
 from link_setup import NAMES
@@ -135,6 +136,38 @@ def test_a_new_trajectory_replaces_the_old_one_without_a_jump(rig):
     assert rig.arm.positions == pytest.approx([-0.2] * 6, abs=HALF_UNIT)
     assert Judge().watch(rig.log).violations == [] and rig.state == 'IDLE'
     assert not any(line.startswith('move') for line in rig.heard(start_s))
+
+
+@pytest.mark.parametrize('every_s', [1.0 / 30.0, 1.0 / 120.0])
+def test_commands_that_keep_coming_do_not_slow_the_arm_down(rig, every_s):
+    def time_to_goal(goal, again_s):
+        start_s = next_s = rig.now_s
+        while np.abs(rig.arm.positions - goal).max() > 0.01 and rig.now_s < start_s + 10.0:
+            if rig.now_s >= next_s:
+                assert rig.go(goal) is None
+                next_s += again_s
+            rig.turn()
+        return rig.now_s - start_s
+    alone_s = time_to_goal([0.7, 0.5, -0.4, 0.3, 0.2, 0.6], 10.0)
+    rig.run(0.5)
+    assert time_to_goal([0.0] * 6, every_s) < 1.6 * alone_s
+    assert Judge().watch(rig.log).violations == []
+
+
+def test_a_new_trajectory_is_on_the_wire_at_once(rig):
+    moving(rig)
+    waited_s, step_s = [], 0.001
+    rig.step_s = step_s
+    for k in range(40):
+        rig.run(0.02 + 0.00137 * (k % 10))
+        sent_s = rig.now_s
+        assert rig.send((2.5 - 0.03 * k, [-0.9] * 6), (5.0, [0.0] * 6)) is None
+        while not any(line.startswith('!goto') for line in rig.heard(sent_s)):
+            rig.turn()
+            assert rig.now_s < sent_s + 0.1
+        waited_s.append(rig.now_s - sent_s)
+    assert max(waited_s) < shortest_gap_s(115200) + 3 * step_s
+    assert Judge().watch(rig.log).violations == []
 
 
 def test_a_move_under_way_is_replaced_too(rig):
