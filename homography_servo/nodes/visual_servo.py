@@ -43,6 +43,7 @@ from homography_servo.planning.servo import Servo
 from homography_servo.planning.servo_settings import ServoSettings
 from homography_servo.planning.servo_state import FAILED
 from homography_servo.planning.servo_state import HOLD
+from homography_servo.planning.servo_state import Progress
 from homography_servo.result import Rejected
 from homography_servo.robot.robot_file import load_robot
 from homography_servo.robot.robot_file import save_robot
@@ -61,6 +62,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 TICK_S = 0.02
+PROGRESS_PERIOD_S = 0.03
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,9 @@ class VisualServo(NodeKit, Node):
         self._look_header: Header | None = None
         self._pace = Pace('command')
         self._ended_as = ''  # how a calibration ended, until the next start
-        self._shown_state, self._shown_progress = '', None
+        self._shown_state = ''
+        self._shown_progress: Progress | None = None
+        self._shown_progress_s = 0.0
         self._publish_to()
         self._listen_to()
         self.every(TICK_S, self._tick)
@@ -292,11 +296,18 @@ class VisualServo(NodeKit, Node):
             self._state.publish(String(data=self._shown_state))
             if self._shown_state.startswith((FAILED, HOLD)):
                 self.get_logger().warning(self._shown_state)
-        if self._servo.progress is not self._shown_progress:
-            self._shown_progress = self._servo.progress
+        self._show_progress(now_s)
+
+    def _show_progress(self, now_s: float) -> None:
+        """Tell every pose that is reached, and errors as often as anybody can follow."""
+        progress, shown = self._servo.progress, self._shown_progress
+        if progress is shown:
+            return
+        news = shown is None or (progress.pose, progress.reached) != (shown.pose, shown.reached)
+        if news or now_s - self._shown_progress_s > PROGRESS_PERIOD_S:
+            self._shown_progress, self._shown_progress_s = progress, now_s
             self._progress.publish(progress_msg(
-                f'{self.get_name()}: progress', self._level, self._servo.state_text,
-                self._servo.progress))
+                f'{self.get_name()}: progress', self._level, self._servo.state_text, progress))
 
     def _trajectory(self, command: Command) -> JointTrajectory:
         msg = trajectory_msg(self._robot.joint_names, command.points_rad, command.times_s)
