@@ -7,6 +7,7 @@ NAME = 'homography_servo'
 NODES = ('snake_tracker', 'path_planner', 'visual_servo', 'robix_bridge', 'camera_sim',
          'video_camera', 'dashboard')
 PROGRAMS = {
+    'servo_chain': 'nodes.servo_chain',
     'robix_emulator': 'robot.emulator_main',
     'bringup': 'launch.bringup',
     'servo_trial': 'experiments.servo_trial',

@@ -1,5 +1,5 @@
 """
-Start the nodes of a configuration, one process each, and keep them running.
+Start the nodes of a configuration, in a process each, and keep them running.
 
 Checks the whole YAML file first; then starts what it names, writes their output
 with the node's name in front, restarts what dies, and ends everything in order on
@@ -22,6 +22,7 @@ from homography_servo.launch.config import Config
 from homography_servo.launch.config import override
 from homography_servo.launch.config import read_config
 from homography_servo.launch.config import shown_config
+from homography_servo.launch.registry import programs_of
 from homography_servo.launch.supervisor import Child
 from homography_servo.launch.supervisor import Supervisor
 from homography_servo.nodes.__main__ import die_with_launcher
@@ -41,6 +42,8 @@ def parser() -> argparse.ArgumentParser:
                        help='a path or an installed name: sim.yaml, real.yaml, teabox.yaml')
     about.add_argument('--dashboard', action='store_true',
                        help='also start the dashboard, a page in the browser; it says where')
+    about.add_argument('--one-process', action='store_true',
+                       help='run tracker, planner and servo in one process, which is faster')
     about.add_argument('--only', nargs='+', metavar='NODE', help='start only these nodes')
     about.add_argument('--set', nargs='+', default=[], action='extend', dest='overrides',
                        metavar='NODE.PARAMETER:=VALUE', help='override single parameters')
@@ -75,19 +78,23 @@ def environment() -> dict[str, str]:
     return values
 
 
-def children_of(config: Config, folder: Path, namespace: str, log_level: str) -> list[Child]:
-    """Describe a process for each node; its parameters go into a file in the folder."""
+def children_of(config: Config, folder: Path, namespace: str, log_level: str,
+                one_process: bool = False) -> list[Child]:
+    """Describe the processes; the parameters of each go into a file in the folder."""
     children = []
-    for name in config.nodes:
+    for name, nodes in programs_of(config.nodes, one_process).items():
         command = [sys.executable, '-m', 'homography_servo.nodes', name, '--ros-args',
                    '--log-level', log_level]
         if namespace:
             command += ['-r', f'__ns:=/{namespace.strip("/")}']
         # An empty section would be refused; an empty list means not set, as in the file.
-        values = {key: value for key, value in config.values(name).items() if value != []}
-        if values:
+        given = {node: {key: value for key, value in config.values(node).items() if value != []}
+                 for node in nodes}
+        sections = {f'/**/{node}': {'ros__parameters': values}
+                    for node, values in given.items() if values}
+        if sections:
             file = folder / f'{name}.yaml'
-            file.write_text(yaml.safe_dump({'/**': {'ros__parameters': values}}))
+            file.write_text(yaml.safe_dump(sections))
             command += ['--params-file', str(file)]
         children.append(Child(name, command, environment()))
     return children
@@ -108,7 +115,7 @@ def main(args: Sequence[str] | None = None) -> int:
         return EXIT_OK
     with tempfile.TemporaryDirectory(prefix='homography_servo_') as folder:
         supervisor = Supervisor(children_of(config, Path(folder), options.namespace,
-                                            options.log_level))
+                                            options.log_level, options.one_process))
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, supervisor.interrupt)
         return supervisor.run()

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import importlib
 import inspect
+from typing import Iterable
 
 NODES = ('camera_sim', 'video_camera', 'snake_tracker', 'path_planner', 'visual_servo',
          'robix_bridge', 'dashboard')
+# These may share a process, which is the program of this name.
+CHAIN = ('snake_tracker', 'path_planner', 'visual_servo')
+CHAIN_PROGRAM = 'servo_chain'
 
 
 def node_module(name: str) -> str:
-    """Name the module that holds a node and its ``main``."""
-    if name not in NODES:
+    """Name the module that holds a node, or the chain of nodes, and its ``main``."""
+    if name not in (*NODES, CHAIN_PROGRAM):
         raise ValueError(f'node must be one of {", ".join(NODES)}, got {name!r}')
     return f'homography_servo.nodes.{name}'
 
@@ -22,6 +26,16 @@ def node_type(name: str) -> type:
     found = [kind for _, kind in inspect.getmembers(module, inspect.isclass)
              if getattr(kind, 'NAME', '') == name and kind.__module__ == module.__name__]
     return found[0]
+
+
+def programs_of(nodes: Iterable[str], one_process: bool) -> dict[str, tuple[str, ...]]:
+    """Give the programs that run some nodes, each with its nodes, in their order."""
+    names = tuple(nodes)
+    chained = tuple(name for name in names if name in CHAIN)
+    if not one_process or chained != CHAIN:
+        return {name: (name,) for name in names}
+    return {CHAIN_PROGRAM if name == CHAIN[0] else name: CHAIN if name == CHAIN[0] else (name,)
+            for name in names if name not in CHAIN[1:]}
 
 
 def settings_types(name: str) -> tuple:

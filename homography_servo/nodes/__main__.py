@@ -1,6 +1,8 @@
 """
 Run one node: ``python -m homography_servo.nodes NODE [--ros-args ...]``.
 
+``servo_chain`` stands for tracker, planner and servo together.
+
 This is how the launcher starts nodes. A child asks the kernel for a signal when
 its launcher dies, so that not even a killed launcher leaves a node behind.
 """
@@ -11,6 +13,7 @@ import os
 import signal
 import sys
 
+from homography_servo.launch.registry import CHAIN_PROGRAM
 from homography_servo.launch.registry import node_module
 from homography_servo.launch.registry import NODES
 
@@ -30,8 +33,8 @@ def die_with_launcher() -> None:
 
 def main() -> int:
     """Run the node named by the first word."""
-    if len(sys.argv) < 2 or sys.argv[1] not in NODES:
-        print(f'expected one of {", ".join(NODES)}', file=sys.stderr)
+    if len(sys.argv) < 2 or sys.argv[1] not in (*NODES, CHAIN_PROGRAM):
+        print(f'expected one of {", ".join((*NODES, CHAIN_PROGRAM))}', file=sys.stderr)
         return 2
     die_with_launcher()
     module = importlib.import_module(node_module(sys.argv[1]))

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 import time
-from typing import Any, Callable, Coroutine
+from typing import Any, Callable, Coroutine, Sequence
 
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException
@@ -23,31 +23,36 @@ from rclpy.node import Node
 from rclpy.task import Task
 
 STATUS_PERIOD_S = 1.0
+_LISTS = {'service': 'services', 'client': 'clients', 'timer': 'timers',
+          'subscription': 'subscriptions', 'guard_condition': 'guards'}
 
 
 class PromptExecutor(SingleThreadedExecutor):
     """
-    An executor for one node.
+    An executor for some nodes of one process.
 
     Everything runs in the thread that calls `spin_once`; other threads may call `wake`.
 
     Parameters
     ----------
-    node : Node
-        What to serve; it may make and destroy publishers and subscriptions at any time.
+    nodes : sequence of Node
+        What to serve; they may make and destroy publishers and subscriptions at any time.
+    after : callable, optional
+        Called after every callback.
 
     """
 
-    def __init__(self, node: Node) -> None:
-        super().__init__(context=node.context)
-        self._served = node
+    def __init__(self, nodes: Sequence[Node], after: Callable[[], None] | None = None) -> None:
+        super().__init__(context=nodes[0].context)
+        self._served, self._after = nodes, after
         self._stale = True
         self._status_due_s = 0.0
         self._wait_set: Any = None
         self._waited_for: list[tuple[Callable, Any]] = []
         self._held = ExitStack()
         self._takers: dict[str, dict[int, tuple[Callable, Any]]] = {}
-        self.add_node(node)
+        for node in nodes:
+            self.add_node(node)
         self._gather()
 
     def wake(self) -> None:
@@ -77,17 +82,18 @@ class PromptExecutor(SingleThreadedExecutor):
         longest_s = STATUS_PERIOD_S if timeout_sec is None else min(timeout_sec, STATUS_PERIOD_S)
         for take, entity in self._ready(longest_s):
             _run(take, entity)
+            if self._after is not None:
+                self._after()
 
     def _gather(self) -> None:
         """List what the node has now."""
         self._stale = False
-        node = self._served
-        entities = {
-            'service': [(item, self._take_service) for item in node.services],
-            'client': [(item, self._take_client) for item in node.clients],
-            'timer': [(item, self._take_due_timer) for item in node.timers],
-            'subscription': [(item, self._take_subscription) for item in node.subscriptions],
-            'guard_condition': [(item, self._take_guard_condition) for item in node.guards]}
+        kinds: tuple[tuple[str, Callable], ...] = (
+            ('service', self._take_service), ('client', self._take_client),
+            ('timer', self._take_due_timer), ('subscription', self._take_subscription),
+            ('guard_condition', self._take_guard_condition))
+        entities = {kind: [(item, take) for node in self._served
+                           for item in getattr(node, _LISTS[kind])] for kind, take in kinds}
         own = [self._guard.handle, self._sigint_gc.handle]
         self._wait_set = waiting = rclpy_implementation.WaitSet(
             len(entities['subscription']), len(entities['guard_condition']) + len(own),
@@ -126,7 +132,7 @@ class PromptExecutor(SingleThreadedExecutor):
 
     def _take_status(self) -> None:
         """Run what tells of the state of the middleware."""
-        waitables = list(self._served.waitables)
+        waitables = [item for node in self._served for item in node.waitables]
         if not waitables:
             return
         waiting = rclpy_implementation.WaitSet(0, 0, 0, 0, 0, len(waitables),
@@ -143,7 +149,7 @@ class PromptExecutor(SingleThreadedExecutor):
 def executor_for(node: Node) -> SingleThreadedExecutor:
     """Give the prompt executor where it can be used, else the one of rclpy."""
     try:
-        return PromptExecutor(node)
+        return PromptExecutor([node])
     except (AttributeError, TypeError):  # an rclpy that is made otherwise inside
         pass
     executor = SingleThreadedExecutor(context=node.context)

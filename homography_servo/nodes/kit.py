@@ -15,6 +15,8 @@ from typing import Any, Callable, NamedTuple
 from diagnostic_msgs.msg import DiagnosticArray
 from diagnostic_msgs.msg import DiagnosticStatus
 from diagnostic_msgs.msg import KeyValue
+from homography_servo.nodes.local_topics import LocalPublisher
+from homography_servo.nodes.local_topics import LocalTopics
 from rclpy.clock import Clock
 from rclpy.clock import ClockType
 from rclpy.qos import DurabilityPolicy
@@ -66,6 +68,7 @@ class NodeKit:
     CARRIES_IMAGES = False  # over shared memory; all else goes by UDP
     SETTINGS: tuple = ()
     exit_code: int | None = None
+    local: LocalTopics | None = None  # shared with other nodes of the same process
 
     @functools.cached_property
     def counts(self) -> Counter:
@@ -105,7 +108,15 @@ class NodeKit:
     def listen(self, kind: type, topic: str, callback: Callable, qos: Any = DEFAULT,
                raw: bool = False) -> Any:
         """Subscribe with a guarded callback."""
-        return self.create_subscription(kind, topic, self.guarded(callback), qos, raw=raw)
+        guarded = self.guarded(callback)
+        if self.local is not None and not raw:
+            self.local.listen(self.resolve_topic_name(topic), guarded, qos)
+        return self.create_subscription(kind, topic, guarded, qos, raw=raw)
+
+    def create_publisher(self, kind: type, topic: str, qos: Any, **kwargs: Any) -> Any:
+        """Make a publisher, which also reaches the other nodes of the process."""
+        publisher = super().create_publisher(kind, topic, qos, **kwargs)
+        return publisher if self.local is None else LocalPublisher(publisher, self.local, qos)
 
     def serve(self, kind: type, name: str, callback: Callable[[Any], tuple[bool, str]]) -> Any:
         """Offer a Trigger or SetBool service; the callback gives success and sentence."""

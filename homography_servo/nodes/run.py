@@ -1,5 +1,5 @@
 """
-Run one node as a process: signals, allocator, spin loop, exit code.
+Run a node, or some together, as a process: signals, allocator, spin loop, exit code.
 
 rclpy's own signal handling shuts the context down before a node can say a last
 word, so this module installs its own. A signal reaches `NodeKit.on_signal` within
@@ -15,18 +15,22 @@ import signal
 import socket
 import sys
 import threading
-from typing import Callable, Sequence
+from typing import Any, Callable, Sequence
 
 from homography_servo.errors import ConfigError
 from homography_servo.errors import HardwareError
 from homography_servo.errors import ServoError
 from homography_servo.nodes.executor import executor_for
+from homography_servo.nodes.executor import PromptExecutor
 from homography_servo.nodes.help import help_text
+from homography_servo.nodes.local_topics import heard_twice
+from homography_servo.nodes.local_topics import LocalTopics
 from homography_servo.places import find_config
 import rclpy
 from rclpy.exceptions import InvalidParameterException
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.exceptions import InvalidParameterValueException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 EXIT_OK, EXIT_FAILED, EXIT_CONFIG, EXIT_HARDWARE = 0, 1, 2, 3
@@ -106,15 +110,22 @@ class SignalWatch:
 
 
 def run_node(node_type: type, args: Sequence[str] | None = None) -> int:
+    """Do as `run_nodes` with a single node."""
+    return run_nodes([node_type], args, help_text(node_type))
+
+
+def run_nodes(node_types: Sequence[type], args: Sequence[str] | None, about: str) -> int:
     """
-    Make a node, spin it until a signal or its own end, and tell how it went.
+    Make nodes, spin them until a signal or the end of one, and tell how it went.
 
     Parameters
     ----------
-    node_type : type
-        A node class with `NodeKit` mixed in.
+    node_types : sequence of type
+        Node classes with `NodeKit` mixed in.
     args : list of str, optional
         Command line without the program's name.
+    about : str
+        What ``--help`` prints.
 
     Returns
     -------
@@ -124,45 +135,65 @@ def run_node(node_type: type, args: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if args is None else args)
     if {'-h', '--help'} & set(words):
-        print(help_text(node_type))
+        print(about)
         return EXIT_OK
     tune_allocator()
     tune_threads()
-    choose_transport(node_type.CARRIES_IMAGES)
+    # A command must never wait for the shared memory of a process that was killed.
+    choose_transport(all(kind.CARRIES_IMAGES for kind in node_types))
     watch = SignalWatch()
     try:
         rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rcl raises its own kinds for YAML it cannot read
         return _say(error, EXIT_CONFIG)
     try:
-        return _run(node_type, watch)
+        return _run(node_types, watch)
     finally:
         _force_exit_later()
         rclpy.try_shutdown()
         watch.ignore()
 
 
-def _run(node_type: type, watch: SignalWatch) -> int:
+def _run(node_types: Sequence[type], watch: SignalWatch) -> int:
+    topics = LocalTopics()
     try:
-        node = node_type()
+        nodes = [_made(kind, topics if len(node_types) > 1 else None) for kind in node_types]
+        executor = _executor(nodes, topics)
     except (ConfigError, *_BAD_PARAMETER) as error:
         return _say(error, EXIT_CONFIG)
     except HardwareError as error:
         return _say(error, EXIT_HARDWARE)
     except ServoError as error:
         return _say(error, EXIT_FAILED)
-    executor = executor_for(node)
     gc.collect()
-    gc.freeze()  # what lives as long as the node is not looked at again: 30 ms each time
-    watch.on_stop(node.on_signal)
+    gc.freeze()  # what lives as long as the node is not looked at again: 20 ms each time
+    for node in nodes:
+        watch.on_stop(node.on_signal)
+        node.on_finish = executor.wake
     watch.on_stop(executor.wake)
-    node.on_finish = executor.wake
-    while not watch.stopped.is_set() and node.exit_code is None:
+    while not watch.stopped.is_set() and all(node.exit_code is None for node in nodes):
         executor.spin_once(timeout_sec=1.0)
-    node.close()
-    executor.remove_node(node)
-    node.destroy_node()
-    return EXIT_OK if node.exit_code is None else node.exit_code
+    for node in nodes:
+        node.close()
+        executor.remove_node(node)
+        node.destroy_node()
+    return next((node.exit_code for node in nodes if node.exit_code is not None), EXIT_OK)
+
+
+def _made(kind: type, topics: LocalTopics | None) -> Any:
+    """Make a node; one that shares topics with others is told so before it makes any."""
+    return kind() if topics is None else type(kind.__name__, (kind,), {'local': topics})()
+
+
+def _executor(nodes: list, topics: LocalTopics) -> SingleThreadedExecutor:
+    if len(nodes) == 1:
+        return executor_for(nodes[0])
+    if heard_twice(nodes[0]):
+        raise ConfigError(os.environ[PROFILE], 0, '', 'with this profile or middleware a process '
+                          'hears its own messages twice: run the nodes in a process each, or '
+                          f'leave {PROFILE} to this package')
+    topics.deliver()
+    return PromptExecutor(nodes, topics.deliver)
 
 
 def _say(error: Exception, code: int) -> int:

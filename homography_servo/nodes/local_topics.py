@@ -1,0 +1,93 @@
+"""
+What nodes in one process tell each other, without the middleware.
+
+Between processes a message costs its writer 0.16 ms and every reader 0.25 ms of processor
+time, and half a millisecond on the way. In one process it is handed over by reference
+when the callback that published it has ended. To everybody outside nothing changes.
+
+The middleware must not deliver such a message a second time; our profiles of Fast DDS
+see to that, and `heard_twice` finds out.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+import time
+from typing import Any, Callable
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Empty
+
+MATCHED_WITHIN_S = 0.3
+
+
+def is_latched(qos: QoSProfile | int) -> bool:
+    """Tell whether late listeners hear the last message."""
+    return getattr(qos, 'durability', None) == DurabilityPolicy.TRANSIENT_LOCAL
+
+
+class LocalTopics:
+    """The topics of one process; everything happens in the thread that spins."""
+
+    def __init__(self) -> None:
+        self._listeners: dict[str, list[Callable[[Any], None]]] = {}
+        self._latched: dict[str, Any] = {}
+        self._waiting: deque[tuple[Callable[[Any], None], Any]] = deque()
+
+    def listen(self, topic: str, callback: Callable[[Any], None], qos: QoSProfile | int) -> None:
+        """Have messages of a topic (its full name) handed over from now on."""
+        self._listeners.setdefault(topic, []).append(callback)
+        if is_latched(qos) and topic in self._latched:
+            self._waiting.append((callback, self._latched[topic]))
+
+    def publish(self, topic: str, msg: Any, latched: bool) -> None:
+        """Leave a message, which nobody may change any more, for every listener."""
+        if latched:
+            self._latched[topic] = msg
+        self._waiting.extend((callback, msg) for callback in self._listeners.get(topic, ()))
+
+    def count(self, topic: str) -> int:
+        """Give the number of listeners."""
+        return len(self._listeners.get(topic, ()))
+
+    def deliver(self) -> None:
+        """Hand over what waits, in order, and what is published on the way."""
+        while self._waiting:
+            callback, msg = self._waiting.popleft()
+            callback(msg)
+
+
+class LocalPublisher:
+    """A publisher that serves the listeners of its own process, too."""
+
+    def __init__(self, publisher: Any, topics: LocalTopics, qos: QoSProfile | int) -> None:
+        self._publisher, self._topics = publisher, topics
+        self._topic, self._latched = publisher.topic_name, is_latched(qos)
+
+    def publish(self, msg: Any) -> None:
+        """Publish, to the outside only where somebody listens."""
+        self._topics.publish(self._topic, msg, self._latched)
+        if self._latched or self._publisher.get_subscription_count():
+            self._publisher.publish(msg)
+
+    def get_subscription_count(self) -> int:
+        """Count the listeners in this process and outside."""
+        return self._publisher.get_subscription_count() + self._topics.count(self._topic)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._publisher, name)
+
+
+def heard_twice(node: Node) -> bool:
+    """Tell whether the middleware also carries what a process tells itself."""
+    publisher = Node.create_publisher(node, Empty, '~/told_to_itself', 1)
+    listener = Node.create_subscription(node, Empty, '~/told_to_itself', lambda msg: None, 1)
+    until_s = time.monotonic() + MATCHED_WITHIN_S
+    while not publisher.get_subscription_count() and time.monotonic() < until_s:
+        time.sleep(0.01)
+    heard = publisher.get_subscription_count() > 0
+    node.destroy_subscription(listener)
+    node.destroy_publisher(publisher)
+    return heard
