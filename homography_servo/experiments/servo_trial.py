@@ -50,6 +50,8 @@ def parser() -> argparse.ArgumentParser:
                '  servo_trial --from-bag report/bag --output report_again')
     about.add_argument('--bringup', metavar='CONFIG',
                        help='start the nodes of this configuration and end them afterwards')
+    about.add_argument('--one-process', action='store_true',
+                       help='with --bringup: tracker, planner and servo in one process')
     about.add_argument('--set', nargs='+', default=[], action='extend', dest='overrides',
                        metavar='NODE.PARAMETER:=VALUE', help='handed on to bringup')
     about.add_argument('--output', default='report', metavar='FOLDER', type=Path)
@@ -74,10 +76,12 @@ def parser() -> argparse.ArgumentParser:
 class Bringup:
     """The launcher as a child process whose output goes to a file."""
 
-    def __init__(self, config: str, overrides: Sequence[str], log: Path) -> None:
+    def __init__(self, config: str, overrides: Sequence[str], log: Path,
+                 one_process: bool = False) -> None:
         log.parent.mkdir(parents=True, exist_ok=True)
         self.log = log
         command = [sys.executable, '-m', 'homography_servo.launch.bringup', '--config', config]
+        command += ['--one-process'] if one_process else []
         with log.open('wb') as out:
             self.process = subprocess.Popen(
                 [*command, *(['--set', *overrides] if overrides else [])],
@@ -228,7 +232,8 @@ def run(options: argparse.Namespace, bag: Any) -> int:
     watch = SignalWatch()
     bringup = None
     if options.bringup:
-        bringup = Bringup(options.bringup, options.overrides, options.output / 'bringup.log')
+        bringup = Bringup(options.bringup, options.overrides, options.output / 'bringup.log',
+                          options.one_process)
 
     def trouble() -> str | None:
         if watch.stopped.is_set():

@@ -14,7 +14,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE_S = 120.0
-NODES = ('camera_sim', 'snake_tracker', 'path_planner', 'visual_servo', 'robix_bridge')
+NODES = ('camera_sim', 'snake_tracker', 'path_planner', 'visual_servo', 'robix_bridge',
+         'servo_chain')
 LIMITS = {'lateral_m': 1.5e-3, 'depth_m': 3e-3, 'gamma_rad': math.radians(1.0),
           'tilt_rad': math.radians(3.0)}
 
@@ -128,6 +129,17 @@ def start_trial(tmp_path, domain):
         if trial.process.poll() is None:
             os.killpg(trial.process.pid, signal.SIGKILL)
             trial.process.wait()
+
+
+def test_a_trial_in_continuous_mode_with_the_chain_in_one_process(start_trial):
+    trial = start_trial('--poses', '7', '--one-process', '--set', 'visual_servo.mode:=continuous')
+    trial.wait_for('on the way')
+    assert 'servo_chain' in trial.node_pids() and 'snake_tracker' not in trial.node_pids()
+    assert trial.wait() == 0, trial.output
+    numbers = trial.numbers()
+    assert numbers['converged'] and len(numbers['poses']) == 7
+    for key, limit in LIMITS.items():
+        assert numbers['final_true_error'][key] <= limit, numbers['final_true_error']
 
 
 def test_a_short_trial_reaches_every_pose_and_the_goal(start_trial):

@@ -2,9 +2,9 @@
 The whole chain as processes: from the stamp of an image to bytes on the wire.
 
 Everything of sim.yaml runs in continuous mode at 30, 60 and 120 images a second while
-the arm follows a path. ``image_hop`` is a bare hop between two processes in the same
-run: the age of the camera_info that goes out right after the image. Stamps are times
-of exposure, so every row holds the time that rendering takes, too (``render``).
+the arm follows a path, once with every node in a process of its own, once with tracker,
+planner and servo in one. ``image_hop`` is a bare hop between two processes in the same
+run: the age of the camera_info that goes out right after the image.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from homography_servo.nodes.latency_probe import LatencyProbe
 from homography_servo.nodes.trial_client import TrialClient
 import numpy as np
 
-NODES = ('camera_sim', 'snake_tracker', 'path_planner', 'visual_servo', 'robix_bridge')
 RATES_HZ = (30.0, 60.0, 120.0)
 # By the client; the probe hears what is timed, once.
 NOT_HEARD = ('image', 'camera_info', 'object/corners', 'object/contour', 'object/true_pose')
@@ -77,14 +76,15 @@ def _quantiles(name: str, ages_s: Sequence[float]) -> dict[str, Any]:
     return {f'{name}_ms_p50': float(p50), f'{name}_ms_p99': float(p99)}
 
 
-def measure(rate_hz: float, poses: int, folder: Path) -> dict[str, Any]:
+def measure(rate_hz: float, poses: int, folder: Path, one_process: bool) -> dict[str, Any]:
     """Run one trial in continuous mode and time it."""
-    wire_log = folder / f'wire_{rate_hz:.0f}.log'
+    name = f'{rate_hz:.0f}_{"one" if one_process else "each"}'
+    wire_log = folder / f'wire_{name}.log'
     words = [f'camera_sim.rate_hz:={rate_hz:.1f}', 'visual_servo.mode:=continuous',
              f'robix_bridge.session_log:={wire_log}']
     options = argparse.Namespace(start_deg=START_DEG, goal_deg=GOAL_DEG, poses=poses)
-    os.environ['ROS_DOMAIN_ID'] = str(1 + (os.getpid() + int(rate_hz)) % 100)
-    bringup = Bringup('sim.yaml', words, folder / f'bringup_{rate_hz:.0f}.log')
+    os.environ['ROS_DOMAIN_ID'] = str(1 + (os.getpid() + int(rate_hz) + one_process) % 100)
+    bringup = Bringup('sim.yaml', words, folder / f'bringup_{name}.log', one_process)
     client = TrialClient(bringup.trouble)
     probe = LatencyProbe(client.node)
     try:
@@ -101,7 +101,8 @@ def measure(rate_hz: float, poses: int, folder: Path) -> dict[str, Any]:
     finally:
         client.close()
         bringup.end()
-    return {'method': 'homography_servo', 'case': f'{rate_hz:.0f} Hz',
+    return {'method': 'one process' if one_process else 'a process each',
+            'case': f'{rate_hz:.0f} Hz',
             'converged_share': float(ending.startswith('converged')),
             **_quantiles('image_hop', probe.ages_s['image_hop']),
             **_quantiles('stamp_to_corners', probe.ages_s['corners']),
@@ -116,4 +117,5 @@ def run(quick: bool, seed: int) -> list[dict[str, Any]]:
     """Measure every rate; ``quick`` leaves out 60 Hz and follows a shorter path."""
     rates_hz = (30.0, 120.0) if quick else RATES_HZ
     with tempfile.TemporaryDirectory(prefix='homography_servo_') as folder:
-        return [measure(rate_hz, 7 if quick else 31, Path(folder)) for rate_hz in rates_hz]
+        return [measure(rate_hz, 7 if quick else 31, Path(folder), one_process)
+                for rate_hz in rates_hz for one_process in (False, True)]
