@@ -24,7 +24,7 @@ from homography_servo.robot.transport import CHUNK
 from homography_servo.robot.transport import open_transport
 from homography_servo.robot.transport import Transport
 
-BUSY_S, QUIET_S = 0.002, 0.02  # how long it sleeps at most
+BUSY_S, QUIET_S = 0.005, 0.02  # how long it sleeps at most
 REOPEN_S = 0.2  # between tries to open a real port that is gone
 
 
