@@ -143,6 +143,10 @@ def monotone_velocities(times_s: np.ndarray, positions: np.ndarray, first: np.nd
     before, after = slopes[:-1], slopes[1:]
     w1, w2 = 2.0 * spans[1:] + spans[:-1], spans[1:] + 2.0 * spans[:-1]
     same = before * after > 0.0
-    safe_before, safe_after = np.where(same, before, 1.0), np.where(same, after, 1.0)
-    velocities[1:-1] = np.where(same, (w1 + w2) / (w1 / safe_before + w2 / safe_after), 0.0)
+    weaker = np.abs(before) < np.abs(after)
+    small, large = np.where(weaker, before, after), np.where(weaker, after, before)
+    w_small, w_large = np.where(weaker, w1, w2), np.where(weaker, w2, w1)
+    # Not the mean of inverse slopes: the inverse of a slope of almost nothing overflows.
+    share = np.divide(small, large, out=np.zeros_like(small), where=same)
+    velocities[1:-1] = np.where(same, small * (w1 + w2) / (w_small + w_large * share), 0.0)
     return velocities

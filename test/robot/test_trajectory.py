@@ -179,6 +179,23 @@ def test_positions_alone_never_overshoot():
         assert np.all(pieces >= low[:, None] - 1e-9) and np.all(pieces <= high[:, None] + 1e-9)
 
 
+def test_velocities_are_the_weighted_harmonic_mean_of_the_slopes():
+    times_s = np.array([0.0, 1.0, 3.0])
+    knots = np.array([[0.0, 0.0, 0.0, 0.0], [2.0, 1.0, -1.0, 1.0], [3.0, 9.0, -2.0, 0.0]])
+    slopes, weights = np.diff(knots, axis=0) / [[1.0], [2.0]], np.array([[5.0], [4.0]])
+    mean = weights.sum() / (weights[:, 0] @ (1.0 / slopes[:, :3]))
+    found = monotone_velocities(times_s, knots, np.zeros(4), np.zeros(4))[1]
+    np.testing.assert_allclose(found, [*mean, 0.0], rtol=1e-14)
+
+
+def test_a_slope_of_almost_nothing_gives_a_velocity_of_almost_nothing():
+    tiny = np.finfo(float).smallest_subnormal
+    knots = np.array([[0.0, 0.0], [tiny, 1.0], [1.0, 1.0 + tiny], [1.0 + tiny, 2.0]])
+    with np.errstate(all='raise', under='ignore'):
+        found = monotone_velocities(np.arange(4.0), knots, np.zeros(2), np.zeros(2))
+    assert np.isfinite(found).all() and found[1:3] == pytest.approx(0.0, abs=1e-300)
+
+
 @pytest.mark.parametrize('times', [[1.0], [1.0, 1.0], [1.0, 0.0], [0.0, np.nan]])
 def test_a_spline_needs_times_that_increase(times):
     with pytest.raises(ValueError, match='times_s'):
