@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from homography_servo.robot.branches import is_yaw_pitch_arm
 from homography_servo.robot.branches import yaw_pitch_candidates
@@ -24,11 +23,8 @@ _LENGTH_M = 0.1
 _WEIGHTS = np.array([[1.0]] * 3 + [[_LENGTH_M]] * 3)
 _STARTS = 160
 _STEP_RAD = 0.5
-# A path is followed from post to post; the poses between two posts are solved together from
-# joints that lie between. More posts are used when one of those moves further than this.
-_POSTS = 8
-_SMOOTH_RAD = 0.1
-_ROUGH = 1e-3
+_PATIENCE = 40  # Newton steps
+_ENOUGH = 1e-12  # distance left at which no more steps are taken
 
 
 def forward(robot: Robot, joints_rad: np.ndarray) -> np.ndarray:
@@ -135,73 +131,8 @@ def _sorted(joints_rad: np.ndarray, near_rad: np.ndarray) -> np.ndarray:
     return joints_rad[np.argsort(np.linalg.norm(joints_rad - near_rad, axis=1), kind='stable')]
 
 
-class Followed(NamedTuple):
-    """One branch of postures along a path of object poses."""
-
-    joints_rad: np.ndarray  # (N, n), limits not looked at
-    missed: np.ndarray  # (N,) what is left of the distance [m, and rad as m]
-    reached: np.ndarray  # (N,) bool
-
-
-def inverse_along(robot: Robot, poses: np.ndarray, start_joints: np.ndarray) -> Followed:
-    """
-    Follow one branch along a path.
-
-    A few poses are solved one after the other, each from the ones before; the rest are then
-    solved together from what lies between. Where a pose cannot be reached the joints are
-    near those that come nearest, and the branch goes on from there.
-
-    Parameters
-    ----------
-    robot : Robot
-        The arm.
-    poses : (N, 4, 4) array
-        home_from_object along the path.
-    start_joints : (n,) array
-        Posture near the first pose.
-
-    Returns
-    -------
-    Followed
-        Joints may leave the limits: that is for the caller to judge.
-
-    """
-    poses = np.asarray(poses, dtype=float)
-    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or len(poses) == 0:
-        raise ValueError(f'poses must have shape (N, 4, 4), got {poses.shape}')
-    if not np.isfinite(poses).all():
-        raise ValueError('poses must be finite')
-    start = checked_joints(robot, start_joints)
-    for posts in (_POSTS, 4 * _POSTS, 16 * _POSTS, len(poses)):
-        marks = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), posts)).astype(int))
-        guess = _between(len(poses), marks, _one_by_one(robot, poses[marks], start))
-        joints, missed = _newton(robot, poses, guess, patience=8)
-        if np.abs(joints - guess).max() < _SMOOTH_RAD or len(marks) == len(poses):
-            break
-    return Followed(joints, missed, missed < _SOLVED)
-
-
-def _one_by_one(robot: Robot, poses: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Solve poses roughly, each from where the ones before point to."""
-    found = [start, start]
-    for pose in poses:
-        guess = found[-1] + np.clip(found[-1] - found[-2], -_STEP_RAD, _STEP_RAD)
-        joints, missed = _newton(robot, pose[None], guess[None], patience=4, enough=_ROUGH)
-        if missed[0] > _ROUGH:  # a bend, or out of reach: go on from where the arm was
-            joints, _ = _newton(robot, pose[None], found[-1][None], enough=_ROUGH)
-        found.append(joints[0])
-    return np.array(found[2:])
-
-
-def _between(count: int, marks: np.ndarray, posts: np.ndarray) -> np.ndarray:
-    """Interpolate joints at marks; (count, n)."""
-    if len(marks) == count:
-        return posts
-    return np.stack([np.interp(np.arange(count), marks, column) for column in posts.T], axis=1)
-
-
-def _newton(robot: Robot, targets: np.ndarray, joints_rad: np.ndarray,
-            patience: int = 40, enough: float = 1e-12) -> tuple[np.ndarray, np.ndarray]:
+def _newton(robot: Robot, targets: np.ndarray, joints_rad: np.ndarray
+            ) -> tuple[np.ndarray, np.ndarray]:
     """
     Solve poses by damped Newton steps, all at once.
 
@@ -216,10 +147,6 @@ def _newton(robot: Robot, targets: np.ndarray, joints_rad: np.ndarray,
         home_from_object.
     joints_rad : (B, n) array
         Starts.
-    patience : int
-        Largest number of steps.
-    enough : float
-        Distance left at which a posture is good.
 
     Returns
     -------
@@ -230,11 +157,11 @@ def _newton(robot: Robot, targets: np.ndarray, joints_rad: np.ndarray,
     joints = np.array(joints_rad, dtype=float)
     missed = np.full(len(joints), np.inf)
     active = np.arange(len(joints))
-    for _ in range(patience + 1):
+    for _ in range(_PATIENCE + 1):
         frames, tips = object_frames(robot, joints[active])
         error = _pose_error(tips, targets[active])
         missed[active] = np.sqrt(np.einsum('bi,bi->b', error, error))
-        going = missed[active] > enough
+        going = missed[active] > _ENOUGH
         if not going.any():
             break
         active, error = active[going], error[going]

@@ -13,7 +13,6 @@ from homography_servo.geometry.rigid import pose_difference
 from homography_servo.robot.branches import is_yaw_pitch_arm
 from homography_servo.robot.kinematics import forward
 from homography_servo.robot.kinematics import inverse
-from homography_servo.robot.kinematics import inverse_along
 from homography_servo.robot.kinematics import object_jacobian
 from homography_servo.robot.kinematics import object_pose
 import numpy as np
@@ -89,10 +88,6 @@ def test_wrong_shapes_are_named():
         inverse(ROBOT, np.eye(3))
     with pytest.raises(ValueError, match=r'finite \(4, 4\)'):
         inverse(ROBOT, np.full((4, 4), np.nan))
-    with pytest.raises(ValueError, match=r'\(N, 4, 4\)'):
-        inverse_along(ROBOT, np.eye(4), np.zeros(6))
-    with pytest.raises(ValueError, match='finite'):
-        inverse_along(ROBOT, np.full((2, 4, 4), np.inf), np.zeros(6))
 
 
 def contains(postures, joints, tolerance=1e-5) -> bool:
@@ -236,50 +231,3 @@ def test_a_joint_exactly_at_its_limit_is_inside():
     postures = inverse(ROBOT, object_pose(ROBOT, joints), joints)
     assert contains(postures, joints)
     check_postures(ROBOT, object_pose(ROBOT, joints), postures)
-
-
-def chord(start, goal, count):
-    """Move along the straight line, and turn about one axis."""
-    difference = pose_difference(goal, start)
-    return np.array([displaced(start, u * difference) for u in np.linspace(0, 1, count)])
-
-
-@pytest.mark.parametrize('count', [1, 2, 31, 1000])
-def test_the_trial_of_the_paper_on_its_chord(count):
-    end = TRIAL.copy()
-    end[0] = -5 * DEG
-    poses = chord(object_pose(ROBOT, TRIAL), object_pose(ROBOT, end), count)
-    followed = inverse_along(ROBOT, poses, TRIAL)
-    assert followed.reached.all() and followed.joints_rad.shape == (count, 6)
-    np.testing.assert_allclose(object_pose(ROBOT, followed.joints_rad), poses, atol=1e-8)
-    np.testing.assert_allclose(followed.joints_rad[0], TRIAL, atol=1e-7)
-    if count < 31:
-        return
-    np.testing.assert_allclose(followed.joints_rad[-1], end, atol=1e-7)
-    lowest, highest = (f(followed.joints_rad, axis=0) / DEG for f in (np.min, np.max))
-    np.testing.assert_allclose(lowest, [-54.1, 40, 10, -10, 0, -25.7], atol=0.05)
-    np.testing.assert_allclose(highest, [-5, 64.5, 10, -10, 0, -20], atol=0.05)
-
-
-def test_a_path_of_random_joints_is_followed_on_its_own_branch():
-    for seed in range(20):
-        ends = 0.8 * random_joints(ROBOT, 2, seed)
-        share = np.linspace(0, 1, 200)[:, None]
-        joints = ends[0] + share * (ends[1] - ends[0])
-        if np.linalg.det(object_jacobian(ROBOT, joints)).min() \
-                * np.linalg.det(object_jacobian(ROBOT, joints)).max() < 0:
-            continue  # crosses a singularity, where branches meet
-        followed = inverse_along(ROBOT, object_pose(ROBOT, joints), joints[0])
-        assert followed.reached.all()
-        np.testing.assert_allclose(followed.joints_rad, joints, atol=1e-5)
-
-
-def test_where_a_path_leaves_the_reach_it_says_so():
-    start = object_pose(ROBOT, TRIAL)
-    goal = start.copy()
-    goal[:3, 3] += [0.5, 0.0, 0.0]
-    followed = inverse_along(ROBOT, chord(start, goal, 40), TRIAL)
-    first = int(np.argmin(followed.reached))
-    assert 0 < first < 40 and not followed.reached[-1]
-    assert followed.reached[:first].all() and np.isfinite(followed.joints_rad).all()
-    assert followed.missed[-1] > 0.1
