@@ -1,0 +1,258 @@
+"""
+The control step: from pose to pose along the path, one decision after each look.
+
+A pose is reached when the looks say so and are sure of it; otherwise the arm moves
+towards it, looks on, or gives up for a reason. Knows nothing of time: the state machine
+(`servo`) says when the arm stands and has been seen, and carries out what is decided.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from homography_servo.planning.control import displacement
+from homography_servo.planning.control import Errors
+from homography_servo.planning.control import errors_of
+from homography_servo.planning.control import joints_for
+from homography_servo.planning.control import sigmas_of
+from homography_servo.planning.control import Step
+from homography_servo.planning.joint_lead import JointLead
+from homography_servo.planning.look_filter import LookFilter
+from homography_servo.planning.servo_moves import Moves
+from homography_servo.planning.servo_settings import ServoSettings
+from homography_servo.planning.servo_state import Attempt
+from homography_servo.planning.servo_state import DONE
+from homography_servo.planning.servo_state import FAILED
+from homography_servo.planning.servo_state import LOOKING
+from homography_servo.planning.servo_state import MOVING
+from homography_servo.planning.servo_state import Progress
+from homography_servo.planning.servo_watch import Watch
+from homography_servo.result import required
+from homography_servo.robot.robot_file import Robot
+import numpy as np
+
+GROWN = 1.2  # an error counts as larger than before from this factor on
+PASSED_OVER = 12  # poses that a joint limit may keep out of reach, one after the other
+STUCK_SHARE = 0.02  # less of a step than this is no progress
+
+
+class Decision(NamedTuple):
+    """
+    What follows from a look, as the state that the servo goes into.
+
+    LOOKING asks for more looks, MOVING comes with joints to go to, or with none where
+    the arm may go on without stops.
+    """
+
+    state: str
+    reason: str = ''
+    joints_rad: np.ndarray | None = None
+
+
+MORE_LOOKS = Decision(LOOKING)
+
+
+class Pursuit:
+    """
+    Bring the object to one pose of a path after the other.
+
+    Parameters
+    ----------
+    robot : Robot
+        The believed arm.
+    watch : Watch
+        Where the joints are.
+    filter_ : LookFilter
+        Where the object is.
+    moves : Moves
+        Shortens steps to what limits and tracker allow.
+
+    """
+
+    def __init__(self, robot: Robot, watch: Watch, filter_: LookFilter, moves: Moves) -> None:
+        self._robot, self._watch, self._filter, self._moves = robot, watch, filter_, moves
+        self._path: np.ndarray | None = None
+        self._lead = JointLead()
+        self._attempt = Attempt(-1)
+        self.progress = Progress()
+        self.passed_over = 0  # poses left out because a joint limit was in the way
+
+    @property
+    def poses(self) -> np.ndarray:
+        """Give the path (N, 4, 4); ValueError without one."""
+        return required(self._path, 'path')
+
+    @property
+    def index(self) -> int:
+        """Give the pose that is aimed at, counted from 0; -1 before the first look."""
+        return self._attempt.index
+
+    def take(self, poses: np.ndarray | None, lead: JointLead) -> None:
+        """Take a path (N, 4, 4), or none."""
+        self._path, self._lead = poses, lead
+
+    def aim_at(self, index: int) -> None:
+        """Go for a pose with all tries left; -1 chooses one after the next look."""
+        self._attempt = Attempt(index)
+
+    def aim_from(self, joints_rad: np.ndarray) -> Decision:
+        """Go for the pose that is to be met next from joints (n,) on a new path."""
+        self.aim_at(self._nearest_pose(self._filter.pose(joints_rad)))
+        return self._lead_from(joints_rad)
+
+    def count_looks(self, taken: int) -> None:
+        """Note looks that the filter has taken."""
+        self._attempt.looks += taken
+
+    def report(self, unsure: float = math.nan) -> np.ndarray:
+        """Bring the progress up to date; gives the displacement (6,) that is left."""
+        here = self._filter.pose(self._watch.joints.known_rad)
+        twist = displacement(here, self.poses[self.index])
+        self.progress = Progress(
+            self.index + 1, len(self.poses), False, float(np.linalg.norm(twist[:3])),
+            float(np.linalg.norm(twist[3:])), self._attempt.moves, self._attempt.looks, unsure)
+        return twist
+
+    def decide(self, settings: ServoSettings) -> Decision:
+        """Say what to do after a look at the standing arm."""
+        joints_rad = self._watch.joints.known_rad
+        if self.index < 0:
+            begun = self._begin(joints_rad, settings)
+            if begun.state == FAILED:
+                return begun
+        if self._lead.passes(self.index):
+            return self._pass_by(joints_rad, settings)
+        last, attempt = self.index == len(self.poses) - 1, self._attempt
+        allowed = _allowed(settings, last)
+        unsure = sigmas_of(self._filter.covariance(joints_rad)).over(allowed)
+        over = errors_of(self.report(unsure)).over(allowed)
+        # Looks that contradict each other come from an arm or a camera that lags behind.
+        agrees = self._filter.agrees
+        sure = agrees and unsure <= settings.sure_share
+        enough = attempt.looks >= (settings.final_looks if last else 1)
+        if over <= 1.0 and sure and enough:
+            return self._reached(settings)
+        if agrees and (over > 1.0 + 2.0 * unsure or (over > 1.0 and sure)):
+            return self._move(settings, over)
+        if attempt.looks >= settings.looks_max:
+            return self._give_up(settings, unsure, agrees)
+        return MORE_LOOKS
+
+    def _begin(self, joints_rad: np.ndarray, settings: ServoSettings) -> Decision:
+        here = self._filter.pose(joints_rad)
+        index = self._nearest_pose(here)
+        away = displacement(here, self.poses[index])
+        far_m, far_rad = np.linalg.norm(away[:3]), np.linalg.norm(away[3:])
+        if far_m > settings.start_distance_m or far_rad > math.radians(settings.start_angle_deg):
+            return Decision(FAILED, f'the object is {1000 * far_m:.0f} mm and '
+                            f'{math.degrees(far_rad):.0f} deg away from the path; plan again')
+        self._attempt = Attempt(index, looks=self._attempt.looks)
+        return self._lead_from(joints_rad)
+
+    def _lead_from(self, joints_rad: np.ndarray) -> Decision:
+        if self._lead.note(self.index, joints_rad):
+            return MORE_LOOKS
+        return Decision(FAILED, 'the arm holds the object in another posture than the plan '
+                        'begins with; plan again')
+
+    def _nearest_pose(self, here: np.ndarray) -> int:
+        """Find the pose of the path to go on from: the first one unless another is nearer."""
+        away = np.array([displacement(here, pose) for pose in self.poses])
+        far = np.hypot(np.linalg.norm(away[:, :3], axis=1) / 0.1,
+                       np.linalg.norm(away[:, 3:], axis=1))
+        spacing = np.median(np.abs(np.diff(far))) if len(far) > 1 else 0.0
+        nearest = int(np.argmin(far))
+        return 0 if far[0] <= far[nearest] + 1.5 * spacing else nearest
+
+    def _pass_by(self, joints_rad: np.ndarray, settings: ServoSettings) -> Decision:
+        """Go through a singularity as planned; what looks say about it cannot be acted on."""
+        self.report()
+        if self._lead.arrived(self.index, joints_rad):
+            return self._reached(settings)
+        return self._move(settings, math.inf)
+
+    def _reached(self, settings: ServoSettings) -> Decision:
+        self.progress = self.progress._replace(reached=True)
+        if self.index == len(self.poses) - 1:
+            return Decision(DONE)
+        if not self._lead.passes(self.index):
+            self._lead.note(self.index, self._watch.joints.known_rad)
+        self.aim_at(self.index + 1)
+        if settings.mode == 'continuous' and not self._lead.needed:
+            return Decision(MOVING)
+        return self._move(settings, math.inf)
+
+    def _move(self, settings: ServoSettings, over: float) -> Decision:
+        attempt = self._attempt
+        attempt.grown = attempt.grown + 1 if over > GROWN * attempt.last_over else 0
+        attempt.last_over = over
+        if attempt.grown >= settings.growth_max:
+            return Decision(FAILED, f'the error at pose {attempt.index + 1} grew in '
+                            f'{attempt.grown} moves in a row')
+        if attempt.moves >= settings.iterations_max:
+            return Decision(FAILED, f'pose {attempt.index + 1} was not reached in '
+                            f'{attempt.moves} moves; {over:.1f} times the tolerance is left')
+        return self._step(settings)
+
+    def _step(self, settings: ServoSettings) -> Decision:
+        index = self.index
+        step = self._step_to(index, self._attempt.moves, settings)
+        last = index == len(self.poses) - 1
+        if _blocked(step) or _shortened(step) and self._attempt.moves >= 2 and not last:
+            later = self._next_open(index, settings)
+            if later is None:
+                return Decision(FAILED, f'{self._at_limit(step.limited_by)} before '
+                                f'pose {index + 1}')
+            self.passed_over += later - index
+            self.aim_at(later)
+            step = self._step_to(later, 0, settings)
+        self._attempt.moves += 1
+        return Decision(MOVING, joints_rad=step.joints_rad)
+
+    def _step_to(self, index: int, moves: int, settings: ServoSettings) -> Step:
+        model = self._filter.model
+        if self._lead.passes(index) or self._lead.leads(index) and not moves:
+            wanted_rad = self._lead.target(index)
+        else:
+            wanted_rad = joints_for(model, self._watch.joints.known_rad, self.poses[index])
+        return self._moves.step_to(model, wanted_rad, settings)
+
+    def _next_open(self, index: int, settings: ServoSettings) -> int | None:
+        """
+        Find a pose further on that can be moved to from a joint limit.
+
+        With a wrong model the way between two good poses may brush a limit; it is left
+        out then. The last pose never is.
+        """
+        for later in range(index + 1, min(index + 1 + PASSED_OVER, len(self.poses))):
+            if not _blocked(self._step_to(later, 0, settings)):
+                return later
+        return None
+
+    def _at_limit(self, joint: str) -> str:
+        angle = self._watch.joints.known_rad[self._robot.joint_names.index(joint)]
+        return f'{joint} is at its limit ({math.degrees(angle):.1f} deg)'
+
+    def _give_up(self, settings: ServoSettings, unsure: float, agrees: bool) -> Decision:
+        where = f'pose {self.index + 1}'
+        looks, share = self._attempt.looks, settings.sure_share
+        return Decision(FAILED, (
+            f'{where} is known only to {unsure:.2f} of the tolerance after {looks} looks, '
+            f'{share:.2f} is asked: the tolerance cannot be reached with this noise')
+            if agrees else (
+            f'{looks} looks at {where} contradict each other although the arm stands: the '
+            'camera lags behind, or something else moves the object'))
+
+
+def _allowed(settings: ServoSettings, last: bool) -> Errors:
+    scale = 1.0 if last else settings.via_scale
+    return Errors(*(scale * value for value in settings.tolerance))
+
+
+def _blocked(step: Step) -> bool:
+    return step.share < STUCK_SHARE and _shortened(step)
+
+
+def _shortened(step: Step) -> bool:
+    return step.limited_by not in ('', 'step')
