@@ -60,6 +60,10 @@ class JointLead:
         """Give the joints to go to."""
         return self._joints_rad[index] + self._offset_rad
 
+    def planned(self, index: int) -> np.ndarray | None:
+        """Give the planned joints (n,) of a pose, None where only poses are known."""
+        return self._joints_rad[index] if len(self._joints_rad) else None
+
     def arrived(self, index: int, joints_rad: np.ndarray) -> bool:
         """Tell whether the joints are where the plan leads."""
         return bool(np.abs(joints_rad - self.target(index)).max() < ARRIVED_RAD)

@@ -33,8 +33,10 @@ from homography_servo.robot.robot_file import Robot
 import numpy as np
 
 GROWN = 1.2  # an error counts as larger than before from this factor on
-PASSED_OVER = 12  # poses that a joint limit may keep out of reach, one after the other
+PASSED_OVER = 12  # poses that may be left out, one after the other
+TRIES = 2  # moves towards a pose on the way that cannot be met before it is left out
 STUCK_SHARE = 0.02  # less of a step than this is no progress
+REACH = 'reach'  # what limits a step when no joints at all bring the object to the pose
 
 
 class Decision(NamedTuple):
@@ -76,7 +78,7 @@ class Pursuit:
         self._lead = JointLead()
         self._attempt = Attempt(-1)
         self.progress = Progress()
-        self.passed_over = 0  # poses left out because a joint limit was in the way
+        self.passed_over = 0  # poses left out because the arm does not get there
 
     @property
     def poses(self) -> np.ndarray:
@@ -191,48 +193,59 @@ class Pursuit:
             return Decision(FAILED, f'the error at pose {attempt.index + 1} grew in '
                             f'{attempt.grown} moves in a row')
         if attempt.moves >= settings.iterations_max:
+            step = self._step_to(self.index, settings)
             return Decision(FAILED, f'pose {attempt.index + 1} was not reached in '
-                            f'{attempt.moves} moves; {over:.1f} times the tolerance is left')
+                            f'{attempt.moves} moves; {over:.1f} times the tolerance is left'
+                            + (f': {self._hindrance(step)}' if _shortened(step) else ''))
         return self._step(settings)
 
     def _step(self, settings: ServoSettings) -> Decision:
         index = self.index
-        step = self._step_to(index, self._attempt.moves, settings)
+        step = self._step_to(index, settings)
         last = index == len(self.poses) - 1
-        if _blocked(step) or _shortened(step) and self._attempt.moves >= 2 and not last:
-            later = self._next_open(index, settings)
-            if later is None:
-                return Decision(FAILED, f'{self._at_limit(step.limited_by)} before '
-                                f'pose {index + 1}')
-            self.passed_over += later - index
-            self.aim_at(later)
-            step = self._step_to(later, 0, settings)
+        if _blocked(step) or _shortened(step) and self._attempt.moves >= TRIES and not last:
+            step_on = self._step_past(index, settings)
+            if step_on is None:
+                return Decision(FAILED, f'{self._hindrance(step)} before pose {index + 1}')
+            step = step_on
         self._attempt.moves += 1
         return Decision(MOVING, joints_rad=step.joints_rad)
 
-    def _step_to(self, index: int, moves: int, settings: ServoSettings) -> Step:
-        model = self._filter.model
-        if self._lead.passes(index) or self._lead.leads(index) and not moves:
-            wanted_rad = self._lead.target(index)
-        else:
-            wanted_rad = joints_for(model, self._watch.joints.known_rad, self.poses[index])
-        return self._moves.step_to(model, wanted_rad, settings)
+    def _step_to(self, index: int, settings: ServoSettings) -> Step:
+        model, attempt = self._filter.model, self._attempt
+        if self._lead.passes(index) or self._lead.leads(index) and not attempt.moves:
+            return self._moves.step_to(model, self._lead.target(index), settings)
+        near_rad = self._watch.joints.known_rad if attempt.near_rad is None else attempt.near_rad
+        wanted_rad = joints_for(model, near_rad, self.poses[index])
+        step = self._moves.step_to(model, wanted_rad, settings)
+        left = errors_of(displacement(model.pose(wanted_rad), self.poses[index]))
+        out_of_reach = left.over(_allowed(settings, index == len(self.poses) - 1)) > 1.0
+        return step._replace(limited_by=REACH) if out_of_reach else step
 
-    def _next_open(self, index: int, settings: ServoSettings) -> int | None:
+    def _step_past(self, index: int, settings: ServoSettings) -> Step | None:
         """
-        Find a pose further on that can be moved to from a joint limit.
+        Aim at the next pose further on that can be moved to, None if there is none.
 
-        With a wrong model the way between two good poses may brush a limit; it is left
-        out then. The last pose never is.
+        The arm is not the one that was planned for: the way between two good poses may
+        brush a limit or go beyond its reach, and is left out then. The last pose never
+        is. Where the arm is stretched out its postures meet; the planned joints tell
+        in which one to go on.
         """
+        attempt = self._attempt
         for later in range(index + 1, min(index + 1 + PASSED_OVER, len(self.poses))):
-            if not _blocked(self._step_to(later, 0, settings)):
-                return later
+            self._attempt = Attempt(later, near_rad=self._lead.planned(later))
+            step = self._step_to(later, settings)
+            if not _blocked(step) and step.limited_by != REACH:
+                self.passed_over += later - index
+                return step
+        self._attempt = attempt
         return None
 
-    def _at_limit(self, joint: str) -> str:
-        angle = self._watch.joints.known_rad[self._robot.joint_names.index(joint)]
-        return f'{joint} is at its limit ({math.degrees(angle):.1f} deg)'
+    def _hindrance(self, step: Step) -> str:
+        if step.limited_by == REACH:
+            return 'the arm does not reach so far'
+        angle = self._watch.joints.known_rad[self._robot.joint_names.index(step.limited_by)]
+        return f'{step.limited_by} is at its limit ({math.degrees(angle):.1f} deg)'
 
     def _give_up(self, settings: ServoSettings, unsure: float, agrees: bool) -> Decision:
         where = f'pose {self.index + 1}'

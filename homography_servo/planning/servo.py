@@ -93,7 +93,7 @@ class Servo:
 
     @property
     def passed_over(self) -> int:
-        """Count the poses that were left out because a joint limit was in the way."""
+        """Count the poses that were left out because the arm does not get there."""
         return self._pursuit.passed_over
 
     # Inputs.
