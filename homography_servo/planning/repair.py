@@ -13,11 +13,11 @@ from homography_servo.geometry.path import FAMILIES
 from homography_servo.geometry.rigid import displaced
 from homography_servo.geometry.rigid import pose_difference
 from homography_servo.planning.feasibility import goal_fault
+from homography_servo.planning.joint_search import search
+from homography_servo.planning.joint_search import shortened
+from homography_servo.planning.joint_search import spread
 from homography_servo.planning.joint_space import JointSpace
-from homography_servo.planning.joint_space import search
-from homography_servo.planning.joint_space import shortened
 from homography_servo.planning.joint_space import SPARES
-from homography_servo.planning.joint_space import spread
 from homography_servo.planning.task import Proposal
 from homography_servo.planning.task import shared_out
 from homography_servo.planning.task import Task
@@ -86,7 +86,7 @@ def other_branch(task: Task) -> Iterator[Proposal]:
     found = inverse(task.robot, object_pose(task.robot, start), start, task.settings.seed)
     branches = [b for b in found if np.abs(b - start).max() > 1e-3]
     space = JointSpace(task)
-    usable = [b for b in branches if space.free(b)[0] and space.open(start, b)]
+    usable = [b for b in branches if space.open(start, b)]
     if not usable:
         yield Proposal(name, None, reason=(
             f'{len(branches)} other branches at the start, none can be gone over to without '

@@ -199,6 +199,18 @@ def test_a_taught_goal_loosens_limits_only_to_where_the_arm_stood():
     assert found.joints_rad[-1] == pytest.approx(goal, abs=1e-6)
 
 
+def test_a_search_from_beyond_a_limit_comes_up_to_the_limit_and_keeps_it():
+    start_rad = np.radians([-5.4, 40.8, -71.1, 53.0, -46.4, 20.9])
+    goal_rad = np.radians([-15.2, -4.7, 23.1, -0.4, -50.9, 58.5])
+    found = planned(start_rad, goal_rad, pass_singularities=False)
+    assert found.ok and 'searched' in found.family
+    conditioning = found.verdict.values.conditioning
+    assert conditioning[0] < SETTINGS.conditioning_min
+    up = int(np.argmax(conditioning >= SETTINGS.conditioning_min))
+    assert (conditioning[:up] >= conditioning[0]).all()
+    assert (conditioning[up:] >= SETTINGS.conditioning_min).all()
+
+
 def test_a_start_that_is_bad_is_told_at_once():
     outside = START_RAD + [-0.5, 0.0, 0.0, 0.0, 0.0, 0.0]
     found = planned(outside, GOAL_RAD)

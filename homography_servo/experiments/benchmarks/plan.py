@@ -25,7 +25,7 @@ from homography_servo.geometry.path import interpolate
 from homography_servo.places import find_config
 from homography_servo.planning.feasibility import check_path
 from homography_servo.planning.feasibility import look
-from homography_servo.planning.joint_space import spread
+from homography_servo.planning.joint_search import spread
 from homography_servo.planning.planner import FIRST
 from homography_servo.planning.planner import Plan
 from homography_servo.planning.planner import plan
