@@ -215,12 +215,13 @@ class Pursuit:
         model, attempt = self._filter.model, self._attempt
         if self._lead.passes(index) or self._lead.leads(index) and not attempt.moves:
             return self._moves.step_to(model, self._lead.target(index), settings)
-        near_rad = self._watch.joints.known_rad if attempt.near_rad is None else attempt.near_rad
+        planned_rad = self._lead.planned(index) if attempt.past else None
+        near_rad = self._watch.joints.known_rad if planned_rad is None else planned_rad
         wanted_rad = joints_for(model, near_rad, self.poses[index])
         step = self._moves.step_to(model, wanted_rad, settings)
         left = errors_of(displacement(model.pose(wanted_rad), self.poses[index]))
         out_of_reach = left.over(_allowed(settings, index == len(self.poses) - 1)) > 1.0
-        return step._replace(limited_by=REACH) if out_of_reach else step
+        return step._replace(limited_by=REACH) if out_of_reach and not _at_joint(step) else step
 
     def _step_past(self, index: int, settings: ServoSettings) -> Step | None:
         """
@@ -233,7 +234,7 @@ class Pursuit:
         """
         attempt = self._attempt
         for later in range(index + 1, min(index + 1 + PASSED_OVER, len(self.poses))):
-            self._attempt = Attempt(later, near_rad=self._lead.planned(later))
+            self._attempt = Attempt(later, past=True)
             step = self._step_to(later, settings)
             if not _blocked(step) and step.limited_by != REACH:
                 self.passed_over += later - index
@@ -269,3 +270,7 @@ def _blocked(step: Step) -> bool:
 
 def _shortened(step: Step) -> bool:
     return step.limited_by not in ('', 'step')
+
+
+def _at_joint(step: Step) -> bool:
+    return _shortened(step) and step.limited_by != REACH

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 IDLE, MOVING, LOOKING = 'IDLE', 'MOVING', 'LOOKING'
 HOLD, DONE, FAILED = 'HOLD', 'DONE', 'FAILED'
 ACTIVE = (MOVING, LOOKING, HOLD)
@@ -35,4 +33,4 @@ class Attempt:
     looks: int = 0
     grown: int = 0
     last_over: float = math.inf
-    near_rad: np.ndarray | None = None  # where to look for the joints, if not near the present
+    past: bool = False  # poses before it were left out
