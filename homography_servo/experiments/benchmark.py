@@ -1,8 +1,9 @@
 """
 Measure: accuracy and speed of each part, beside its peers, in the same run.
 
-Each suite prints a table and writes benchmark/SUITE.json. Suites: pose, tracker,
-plan, servo, latency.
+Each suite prints a table and writes it to benchmark/SUITE.txt, the numbers to
+benchmark/SUITE.json as soon as they are known. Suites: pose, tracker, plan, servo,
+latency.
 """
 
 from __future__ import annotations
@@ -69,21 +70,33 @@ def _plain(value: Any) -> Any:
 
 
 def run_suite(name: str, options: argparse.Namespace) -> Path:
-    """Run one suite, print its table and write its file."""
+    """Run one suite, print its table, write it as text and the numbers as JSON."""
     module = importlib.import_module(f'homography_servo.experiments.benchmarks.{name}')
     began_s = time.monotonic()
-    rows = module.run(options.quick, options.seed)
-    rows = [{key: _plain(value) for key, value in row.items()} for row in rows]
-    print(f'\n{name}: {(module.__doc__ or "").strip().splitlines()[0]}')
-    print(table(rows))
-    print(f'({time.monotonic() - began_s:.0f} s)', flush=True)
-    from homography_servo import __version__
     options.output.mkdir(parents=True, exist_ok=True)
     path = options.output / f'{name}.json'
-    content = {'suite': name, 'version': __version__, 'machine': machine(),
-               'quick': options.quick, 'seed': options.seed, 'rows': rows}
-    path.write_text(json.dumps(content, indent=1, allow_nan=False) + '\n')
+    rows: list[dict[str, Any]] = []
+    for row in module.run(options.quick, options.seed):
+        rows.append({key: _plain(value) for key, value in row.items()})
+        _write(path, options, rows, began_s, complete=False)
+    _write(path, options, rows, began_s, complete=True)
+    title = f'{name}: {(module.__doc__ or "").strip().splitlines()[0]}'
+    text = f'{title}\n{table(rows)}\n({time.monotonic() - began_s:.0f} s)\n'
+    path.with_suffix('.txt').write_text(text)
+    print(f'\n{text}', end='', flush=True)
     return path
+
+
+def _write(path: Path, options: argparse.Namespace, rows: list[dict[str, Any]], began_s: float,
+           complete: bool) -> None:
+    """Write what is known so far; a suite that is broken off leaves its rows behind."""
+    from homography_servo import __version__
+    content = {'suite': path.stem, 'version': __version__, 'machine': machine(),
+               'quick': options.quick, 'seed': options.seed, 'complete': complete,
+               'time_s': round(time.monotonic() - began_s, 1), 'rows': rows}
+    partly = path.with_suffix('.part')
+    partly.write_text(json.dumps(content, indent=1, allow_nan=False) + '\n')
+    partly.replace(path)
 
 
 def main(args: Sequence[str] | None = None) -> int:

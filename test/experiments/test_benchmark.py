@@ -30,6 +30,18 @@ def test_a_suite_is_printed_and_written(rows, tmp_path, capsys):
     assert written['rows'][0]['time_us_median'] == 1.5
     assert written['rows'][1] == {'method': 'peer', 'case': 'a', 'share': None, 'count': 3}
     assert 'homography_servo' in capsys.readouterr().out
+    assert written['complete'] and 'homography_servo' in (tmp_path / 'pose.txt').read_text()
+
+
+def test_a_suite_that_breaks_off_leaves_what_it_has_measured(monkeypatch, tmp_path):
+    def run(quick, seed):
+        yield {'method': 'homography_servo', 'case': 'a', 'share': 0.5}
+        raise KeyboardInterrupt
+    monkeypatch.setattr(pose, 'run', run)
+    with pytest.raises(KeyboardInterrupt):
+        benchmark.main(['pose', '--output', str(tmp_path)])
+    written = json.loads((tmp_path / 'pose.json').read_text())
+    assert [row['share'] for row in written['rows']] == [0.5] and not written['complete']
 
 
 def test_an_unknown_suite_is_refused(capsys):

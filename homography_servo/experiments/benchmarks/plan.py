@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 import time
-from typing import Any, Callable, NamedTuple
+from typing import Any, Callable, Iterator, NamedTuple
 
 import cv2
 from homography_servo.experiments.servo_pairs import CAMERA
@@ -44,16 +44,16 @@ BETWEEN = 5  # looks between two poses of a plan
 JUMP_RAD = 0.5
 
 
-def run(quick: bool, seed: int) -> list[dict[str, Any]]:
-    """Measure; rows as every suite has them."""
+def run(quick: bool, seed: int) -> Iterator[dict[str, Any]]:
+    """Measure; yields rows as every suite has them."""
     cv2.setNumThreads(1)
     robot = load_robot(find_config('robix_rcs6.yaml'))
     pairs = random_pairs(robot, 40 if quick else 1000, seed)
-    rows = _verdict_rows(robot, 5 if quick else 50)
+    yield from _verdict_rows(robot, 5 if quick else 50)
     for settings in (SETTINGS, replace(SETTINGS, pass_singularities=False)):
         roadmap = Roadmap(robot, CAMERA, settings, 3000 if quick else 12000, seed)
-        rows += _pair_rows(robot, pairs, roadmap, settings)
-    return rows + _others(robot, pairs)
+        yield from _pair_rows(robot, pairs, roadmap, settings)
+    yield from _others(robot, pairs)
 
 
 class Times(NamedTuple):
