@@ -13,6 +13,7 @@ from homography_servo.experiments.servo_outcome import lengths
 from homography_servo.experiments.servo_outcome import Outcome
 from homography_servo.experiments.servo_pairs import CAMERA
 from homography_servo.experiments.servo_pairs import corners_px
+from homography_servo.experiments.servo_pairs import Crowd
 from homography_servo.experiments.servo_pairs import RobotPair
 from homography_servo.experiments.servo_pairs import World
 from homography_servo.geometry.camera import Camera
@@ -80,16 +81,15 @@ def in_camera(poses: np.ndarray, home_depth_m: float) -> np.ndarray:
 def run_on_robot(law: Law, robot: Robot, worlds: Sequence[World], pairs: Sequence[RobotPair],
                  noise_px: float, seed: int) -> list[Outcome]:
     """Servo all pairs with a law through the believed Jacobian; no law looks at limits."""
-    joints = np.array([pair.start_rad for pair in pairs])
-    goals = np.array([world.arm.pose(pair.goal_rad) for world, pair in zip(worlds, pairs)])
+    crowd, joints = Crowd(worlds), np.array([pair.start_rad for pair in pairs])
+    goals = crowd.pose(np.array([pair.goal_rad for pair in pairs]))
     gaze = Gaze(CAMERA, robot.object_points_m, robot.home_depth_m, noise_px, seed)
-    target = _target(gaze, robot.home_depth_m, _seen(worlds, goals), goals)
-    gaze.start_at(np.array([w.arm.pose(q) for w, q in zip(worlds, joints)]))
+    target = _target(gaze, robot.home_depth_m, crowd.see(goals)[0], goals)
+    gaze.start_at(crowd.pose(joints))
     state = _Runs(len(pairs))
     for _ in range(ITERATIONS):
-        poses = np.array([world.arm.pose(q) for world, q in zip(worlds, joints)])
-        seen_px = _seen(worlds, poses)
-        inside = np.array([w.camera.contains(px).all() for w, px in zip(worlds, seen_px)])
+        poses = crowd.pose(joints)
+        seen_px, inside = crowd.see(poses)
         broken = ((joints < robot.lower_rad) | (joints > robot.upper_rad)).any(axis=1)
         state.note(poses, inside, broken)
         rays, measured = gaze.measure(seen_px)
@@ -129,10 +129,6 @@ def _target(gaze: Gaze, home_depth_m: float, goals_px: np.ndarray, goals: np.nda
     rays, poses = gaze.measure(goals_px)
     gaze._noise_px = noise
     return Target(in_camera(poses, home_depth_m), rays)
-
-
-def _seen(worlds: Sequence[World], poses: np.ndarray) -> np.ndarray:
-    return np.array([world.corners_px(pose) for world, pose in zip(worlds, poses)])
 
 
 class _Runs:

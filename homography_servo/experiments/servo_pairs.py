@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from dataclasses import replace
+from typing import Sequence
 
 from homography_servo.geometry.camera import Camera
 from homography_servo.geometry.rigid import exp_twist
@@ -31,6 +32,42 @@ class World:
         """Project the object's points (..., N, 2)."""
         return corners_px(self.camera, self.arm.robot.object_points_m, home_from_object,
                           self.arm.robot.home_depth_m)
+
+
+class Crowd:
+    """
+    Many worlds of one arm, looked at all at once.
+
+    Parameters
+    ----------
+    worlds : sequence of World
+        M of them.
+
+    """
+
+    def __init__(self, worlds: Sequence[World]) -> None:
+        arms = [world.arm for world in worlds]
+        self._robot = arms[0].robot
+        self._arm = ArmModel(
+            self._robot, np.array([arm.left for arm in arms]),
+            np.array([np.broadcast_to(arm.offset_rad, self._robot.count) for arm in arms]),
+            np.array([arm.right for arm in arms]))
+        self._seen_by = {camera: np.array([world.camera == camera for world in worlds])
+                         for camera in {world.camera for world in worlds}}
+
+    def pose(self, joints_rad: np.ndarray) -> np.ndarray:
+        """Give home_from_object (M, 4, 4) for joints (M, n), one row for each world."""
+        return self._arm.pose(joints_rad)
+
+    def see(self, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Project the object's points (M, N, 2); tell which worlds see all of them."""
+        seen_px = np.empty((len(poses), len(self._robot.object_points_m), 2))
+        inside = np.empty(len(poses), dtype=bool)
+        for camera, own in self._seen_by.items():
+            seen_px[own] = corners_px(camera, self._robot.object_points_m, poses[own],
+                                      self._robot.home_depth_m)
+            inside[own] = camera.contains(seen_px[own]).all(axis=-1)
+        return seen_px, inside
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,8 +32,8 @@ import numpy as np
 START_LOOKS = 10
 LONGEST_S = 240.0
 
-# Says whether an independent search agrees that there is no way.
-Confirm = Callable[[RobotPair], bool]
+# Says whether an independent search in a world agrees that there is no way.
+Confirm = Callable[[World, RobotPair], bool]
 
 
 class Eye:
@@ -77,9 +77,10 @@ def run_pair(world: World, pair: RobotPair, noise_px: float, confirm: Confirm) -
     eye = Eye(world, noise_px, pair.seed)
     planned = plan_for(world, pair, eye)
     if isinstance(planned, Rejected):
-        return Outcome(False, vetoed=True, confirmed=confirm(pair), why=planned.reason)
+        return Outcome(False, vetoed=True, confirmed=confirm(world, pair), why=planned.reason)
     if not planned.ok:
-        return Outcome(False, vetoed=True, confirmed=confirm(pair), why=planned.sentence)
+        return Outcome(False, vetoed=True, confirmed=confirm(world, pair),
+                       why=planned.sentence)
     servo = Servo(world.arm.robot)
     servo.set_focal(CAMERA.fx)
     lead = JointLead() if planned.joints_rad is None else JointLead(

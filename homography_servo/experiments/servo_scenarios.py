@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Iterator, NamedTuple
 
 from homography_servo.experiments.servo_classic import run_free
 from homography_servo.experiments.servo_free import FreeWorld
@@ -67,9 +67,9 @@ def _near(outcome: Outcome, scenario: Scenario) -> Outcome:
     return outcome._replace(converged=bool(near and not outcome.left_image))
 
 
-def scenario_rows(scenarios: list[Scenario], seed: int, noise_px: float) -> list[dict[str, Any]]:
+def scenario_rows(scenarios: list[Scenario], seed: int, noise_px: float
+                  ) -> Iterator[dict[str, Any]]:
     """Run ours and all classical laws on every scenario, then all of them summed up."""
-    rows: list[dict[str, Any]] = []
     sums: dict[str, list[Outcome]] = {}
     for scenario in scenarios:
         outcomes = {'homography_servo': run_scenario(scenario, noise_px, seed)}
@@ -79,5 +79,6 @@ def scenario_rows(scenarios: list[Scenario], seed: int, noise_px: float) -> list
             outcomes[name] = _near(found[0], scenario)
         for name, outcome in outcomes.items():
             sums.setdefault(name, []).append(outcome)
-            rows.append(row(name, f'scenario {scenario.name}', [outcome], robot=False))
-    return rows + [row(name, 'scenarios', found, robot=False) for name, found in sums.items()]
+            yield row(name, f'scenario {scenario.name}', [outcome], robot=False)
+    for name, found in sums.items():
+        yield row(name, 'scenarios', found, robot=False)

@@ -47,7 +47,9 @@ class CubicMotion:
     def _both(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
         if time_s < self._start_s and self._before is not None:
             return self._before._both(time_s)
-        time_s = float(np.clip(time_s - self._start_s, 0.0, self._times_s[-1]))
+        time_s = max(time_s - self._start_s, 0.0)
+        if time_s >= self._times_s[-1]:
+            return self._points[-1], np.zeros(self._points.shape[1])
         k = min(int(np.searchsorted(self._times_s, time_s, 'right')), len(self._times_s) - 1)
         span = self._times_s[k] - self._times_s[k - 1]
         u = (time_s - self._times_s[k - 1]) / span

@@ -10,6 +10,7 @@ from homography_servo.experiments.servo_outcome import Outcome
 from homography_servo.experiments.servo_outcome import row
 from homography_servo.experiments.servo_pairs import CAMERA
 from homography_servo.experiments.servo_pairs import corners_px
+from homography_servo.experiments.servo_pairs import Crowd
 from homography_servo.experiments.servo_pairs import exact_world
 from homography_servo.experiments.servo_pairs import free_poses
 from homography_servo.experiments.servo_pairs import random_pairs
@@ -18,8 +19,6 @@ from homography_servo.experiments.servo_pairs import wrong_world
 from homography_servo.experiments.servo_runs import run_pair
 from homography_servo.experiments.servo_scenarios import load_scenarios
 from homography_servo.experiments.servo_scenarios import run_scenario
-from homography_servo.experiments.servo_search import Rules
-from homography_servo.experiments.servo_search import way_exists
 from homography_servo.geometry.face import face_corners
 from homography_servo.geometry.rigid import displaced
 from homography_servo.geometry.rigid import pose_difference
@@ -92,20 +91,27 @@ def test_wrong_world_is_wrong_and_in_view():
     assert world.camera.fx != CAMERA.fx
 
 
+def test_a_crowd_sees_what_each_world_alone_would_see():
+    pairs = random_pairs(ROBOT, 6, 7)
+    worlds = [wrong_world(ROBOT, pair) for pair in pairs[:5]] + [exact_world(ROBOT)]
+    crowd = Crowd(worlds)
+    poses = crowd.pose(np.array([pair.start_rad for pair in pairs]))
+    poses[1, 0, 3] += 0.3
+    seen_px, inside = crowd.see(poses)
+    for index, (world, pair) in enumerate(zip(worlds, pairs)):
+        if index != 1:
+            assert poses[index] == pytest.approx(world.arm.pose(pair.start_rad))
+        alone_px = world.corners_px(poses[index])
+        assert seen_px[index] == pytest.approx(alone_px)
+        assert inside[index] == world.camera.contains(alone_px).all()
+    assert inside.tolist() == [True, False, True, True, True, True]
+
+
 def test_pair_is_planned_and_servoed_to_the_true_goal():
     pair = random_pairs(ROBOT, 1, 7)[0]
-    outcome = run_pair(wrong_world(ROBOT, pair), pair, 0.1, lambda _: False)
+    outcome = run_pair(wrong_world(ROBOT, pair), pair, 0.1, lambda *_: False)
     assert outcome.converged, outcome.why
     assert not (outcome.left_image or outcome.limit_broken or outcome.jumped)
-
-
-def test_search_finds_a_way_where_there_is_one_and_none_beyond_a_limit():
-    assert way_exists(ROBOT, START, GOAL, 0)
-    rules = Rules(ROBOT, START)
-    outside = GOAL.copy()
-    outside[0] = ROBOT.upper_rad[0] - 0.01
-    assert not rules.allow(outside[None])[0]
-    assert rules.free_way(START, START + 0.05)
 
 
 def test_lengths_compare_with_the_straight_way():

@@ -55,6 +55,6 @@ def test_the_servo_passes_a_singularity_and_meets_the_goal(world):
     found = plan(*ends, CAMERA, ROBOT, ELBOW.start_rad)
     assert found.ok and 'through a singularity' in found.family
     truth = exact_world(ROBOT) if world == 'exact' else wrong_world(ROBOT, ELBOW)
-    outcome = run_pair(truth, ELBOW, 0.1, lambda pair: False)
+    outcome = run_pair(truth, ELBOW, 0.1, lambda *_: False)
     assert outcome.converged, outcome.why
     assert not (outcome.left_image or outcome.limit_broken or outcome.jumped)
