@@ -1,5 +1,8 @@
 """What the servo benchmark is made of: laws, worlds, the search, outcomes."""
 
+from dataclasses import replace
+
+from homography_servo.experiments.benchmarks import servo as suite
 from homography_servo.experiments.servo_classic import run_free
 from homography_servo.experiments.servo_free import FreeWorld
 from homography_servo.experiments.servo_free import run_free_pair
@@ -14,6 +17,7 @@ from homography_servo.experiments.servo_pairs import Crowd
 from homography_servo.experiments.servo_pairs import exact_world
 from homography_servo.experiments.servo_pairs import free_poses
 from homography_servo.experiments.servo_pairs import random_pairs
+from homography_servo.experiments.servo_pairs import RobotPair
 from homography_servo.experiments.servo_pairs import visible
 from homography_servo.experiments.servo_pairs import wrong_world
 from homography_servo.experiments.servo_runs import run_pair
@@ -112,6 +116,16 @@ def test_pair_is_planned_and_servoed_to_the_true_goal():
     outcome = run_pair(wrong_world(ROBOT, pair), pair, 0.1, lambda *_: False)
     assert outcome.converged, outcome.why
     assert not (outcome.left_image or outcome.limit_broken or outcome.jumped)
+
+
+def test_a_veto_is_searched_for_in_the_world_as_it_is():
+    pair = random_pairs(ROBOT, 1, 7)[0]
+    world = wrong_world(ROBOT, pair)
+    there = RobotPair(START, GOAL, 0)
+    assert not suite._confirmed(world, there, nodes=200, seed=0)
+    away = GOAL.copy()
+    away[0] = ROBOT.upper_rad[0] - 0.01  # nearer to the limit than a plan may end
+    assert suite._confirmed(world, replace(there, goal_rad=away), nodes=200, seed=0)
 
 
 def test_lengths_compare_with_the_straight_way():
