@@ -63,6 +63,16 @@ def errors_of(twist: np.ndarray) -> Errors:
                   float(abs(twist[5])), float(np.hypot(twist[3], twist[4])))
 
 
+def next_pose(path: np.ndarray, here: np.ndarray) -> int:
+    """Find the pose of a path (N, 4, 4) to go on to: the first unless another is nearer."""
+    away = displacement(here, path)
+    far = np.hypot(np.linalg.norm(away[:, :3], axis=1) / LENGTH_M,
+                   np.linalg.norm(away[:, 3:], axis=1))
+    spacing = np.median(np.abs(np.diff(far))) if len(far) > 1 else 0.0
+    nearest = int(np.argmin(far))
+    return 0 if far[0] <= far[nearest] + 1.5 * spacing else nearest
+
+
 def sigmas_of(covariance: np.ndarray) -> Errors:
     """Give the standard deviations of a pose by degrees of freedom, worst directions."""
     side = np.linalg.eigvalsh(covariance[:2, :2])[-1]

@@ -15,6 +15,7 @@ from homography_servo.planning.control import displacement
 from homography_servo.planning.control import Errors
 from homography_servo.planning.control import errors_of
 from homography_servo.planning.control import joints_for
+from homography_servo.planning.control import next_pose
 from homography_servo.planning.control import sigmas_of
 from homography_servo.planning.control import Step
 from homography_servo.planning.joint_lead import JointLead
@@ -100,7 +101,7 @@ class Pursuit:
 
     def aim_from(self, joints_rad: np.ndarray) -> Decision:
         """Go for the pose that is to be met next from joints (n,) on a new path."""
-        self.aim_at(self._nearest_pose(self._filter.pose(joints_rad)))
+        self.aim_at(next_pose(self.poses, self._filter.pose(joints_rad)))
         return self._lead_from(joints_rad)
 
     def count_looks(self, taken: int) -> None:
@@ -143,7 +144,7 @@ class Pursuit:
 
     def _begin(self, joints_rad: np.ndarray, settings: ServoSettings) -> Decision:
         here = self._filter.pose(joints_rad)
-        index = self._nearest_pose(here)
+        index = next_pose(self.poses, here)
         away = displacement(here, self.poses[index])
         far_m, far_rad = np.linalg.norm(away[:3]), np.linalg.norm(away[3:])
         if far_m > settings.start_distance_m or far_rad > math.radians(settings.start_angle_deg):
@@ -157,15 +158,6 @@ class Pursuit:
             return MORE_LOOKS
         return Decision(FAILED, 'the arm holds the object in another posture than the plan '
                         'begins with; plan again')
-
-    def _nearest_pose(self, here: np.ndarray) -> int:
-        """Find the pose of the path to go on from: the first one unless another is nearer."""
-        away = np.array([displacement(here, pose) for pose in self.poses])
-        far = np.hypot(np.linalg.norm(away[:, :3], axis=1) / 0.1,
-                       np.linalg.norm(away[:, 3:], axis=1))
-        spacing = np.median(np.abs(np.diff(far))) if len(far) > 1 else 0.0
-        nearest = int(np.argmin(far))
-        return 0 if far[0] <= far[nearest] + 1.5 * spacing else nearest
 
     def _pass_by(self, joints_rad: np.ndarray, settings: ServoSettings) -> Decision:
         """Go through a singularity as planned; what looks say about it cannot be acted on."""

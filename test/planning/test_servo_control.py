@@ -1,5 +1,6 @@
 """The control law: exact away from singularities, bounded near them, all joints together."""
 
+from homography_servo.geometry.rigid import displaced
 from homography_servo.planning.arm_model import ArmModel
 from homography_servo.planning.control import corner_travel
 from homography_servo.planning.control import damped_step
@@ -9,12 +10,14 @@ from homography_servo.planning.control import errors_of
 from homography_servo.planning.control import joints_for
 from homography_servo.planning.control import limit_step
 from homography_servo.planning.control import move_time
+from homography_servo.planning.control import next_pose
 from homography_servo.planning.control import sigmas_of
 import numpy as np
 import pytest
 from servo_setup import GOAL_RAD
 from servo_setup import ROBOT
 from servo_setup import START_RAD
+from servo_setup import straight_path
 from servo_setup import wrong_arm
 
 
@@ -22,6 +25,13 @@ def test_errors_are_sorted_by_degree_of_freedom():
     errors = errors_of(np.array([3.0, -4.0, -2.0, 0.3, 0.4, -0.1]))
     assert errors == pytest.approx((5.0, 2.0, 0.1, 0.5))
     assert errors.over(Errors(10.0, 1.0, 1.0, 1.0)) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize('place, expected', [(0.0, 0), (0.7, 0), (9.8, 10), (20.0, 20)])
+def test_a_path_is_begun_at_its_first_pose_unless_another_is_nearer(place, expected):
+    path = straight_path(ArmModel(ROBOT), 21)
+    way = displacement(path[0], path[-1])
+    assert next_pose(path, displaced(path[0], place / 20.0 * way)) == expected
 
 
 def test_sigmas_take_the_worst_direction():
