@@ -12,6 +12,9 @@ from __future__ import annotations
 from functools import cached_property
 from typing import Any, NamedTuple
 
+from homography_servo.geometry.rigid import displaced
+from homography_servo.planning.checks import same_posture
+from homography_servo.planning.checks import UNTRIED
 from homography_servo.planning.feasibility import look
 from homography_servo.planning.task import Task
 from homography_servo.robot.kinematics import object_jacobian
@@ -34,6 +37,10 @@ class Values(NamedTuple):
         """Tell where all values are as large as the limits."""
         return np.all([value >= limit - SLACK for value, limit in zip(self, limits)], axis=0)
 
+    def lowered_to(self, found: Values) -> Values:
+        """Give limits that allow what was found at one configuration."""
+        return Values(*(min(limit, value) for limit, value in zip(self, found)))
+
 
 class JointSpace:
     """
@@ -53,13 +60,20 @@ class JointSpace:
                               limits.field_margin_px * spare + 1.0,
                               -np.radians(limits.facing_limit_deg) / spare,
                               limits.conditioning_min * spare)
-        start = self.values(task.start_joints_rad[None])
-        found = self.values(task.goal_branches)
-        self.limits = Values(*(min(limit, float(v[0])) for limit, v in zip(self._asked, start)))
-        if task.goal_known and found.conditioning[0] > 0.0:
-            self.limits = Values(*(min(limit, float(v[0]))
-                                   for limit, v in zip(self.limits, found)))
-        self.goals = task.goal_branches[found.reach(self.limits)]
+        start = self._values_at(task.start_joints_rad)
+        self.limits = self._asked.lowered_to(start)
+        self._untried_room_rad = min(UNTRIED * self._asked.room_rad, start.room_rad)
+        if task.goal_known:
+            self.limits = self._lowered_to_goal(self._values_at(task.goal_branches[0]))
+        usable = [not self.fault(joints_rad) for joints_rad in task.goal_branches]
+        self.goals = task.goal_branches[np.array(usable, dtype=bool)]
+
+    def _lowered_to_goal(self, taught: Values) -> Values:
+        """Allow what was so when the goal was taught; its view is that of every posture there."""
+        lowered = self.limits.lowered_to(taught)
+        if taught.conditioning > 0.0:
+            return lowered
+        return self.limits._replace(border_px=lowered.border_px, facing_rad=lowered.facing_rad)
 
     @property
     def suffix(self) -> str:
@@ -84,21 +98,28 @@ class JointSpace:
 
     def fault(self, joints_rad: np.ndarray) -> str:
         """Say why a configuration (n,) may not be passed, empty if it may."""
-        found = Values(*(float(v[0]) for v in self.values(joints_rad[None])))
-        if found.reach(self.limits):
+        found, limits = self._values_at(joints_rad), self._limits_at(joints_rad)
+        if found.reach(limits):
             return ''
         if found.conditioning < 0.0:
             return 'a singularity of the arm lies between here and there'
-        if found.conditioning < self.limits.conditioning:
+        if found.conditioning < limits.conditioning:
             return (f'it is near a singularity there (smallest singular value '
-                    f'{found.conditioning:.4f}, {self.limits.conditioning:.4f} is needed)')
-        if found.room_rad < self.limits.room_rad:
+                    f'{found.conditioning:.4f}, {limits.conditioning:.4f} is needed)')
+        if found.room_rad < limits.room_rad:
             robot = self._task.arm
             index = int(np.argmin(np.minimum(joints_rad - robot.lower_rad,
                                              robot.upper_rad - joints_rad)))
             return (f'{robot.joint_names[index]} is {np.degrees(found.room_rad):.1f} deg from '
-                    f'its limit there ({np.degrees(self.limits.room_rad):.1f} deg are needed)')
+                    f'its limit there ({np.degrees(limits.room_rad):.1f} deg are needed)')
         return 'the object is not well in view there'
+
+    def _limits_at(self, joints_rad: np.ndarray) -> Values:
+        """Ask for more room in a posture in which the goal was not taught, as the verdict does."""
+        taught_rad = self._task.goal_joints_rad
+        if taught_rad is None or same_posture(joints_rad, taught_rad):
+            return self.limits
+        return self.limits._replace(room_rad=max(self.limits.room_rad, self._untried_room_rad))
 
     def open(self, a: np.ndarray, b: np.ndarray) -> bool:
         """Tell whether the straight way from a, which may be beyond a limit, to b is free."""
@@ -132,14 +153,24 @@ class JointSpace:
                 kept &= value >= np.where(come_up, limit, np.minimum(least, limit)) - SLACK
         return kept
 
+    def _values_at(self, joints_rad: np.ndarray) -> Values:
+        return Values(*(float(value[0]) for value in self.values(joints_rad[None])))
+
     def values(self, joints_rad: np.ndarray) -> Values:
         """Measure configurations (N, n)."""
         task = self._task
-        seen = look(task.poses_of(joints_rad), task.camera, task.object_points_m,
-                    task.home_depth_m)
+        border_px, facing_rad = self._seen(task.poses_of(joints_rad))
         room = np.minimum(joints_rad - task.arm.lower_rad, task.arm.upper_rad - joints_rad)
-        return Values(room.min(axis=1), seen.border_px.min(axis=1), -seen.facing_rad,
-                      self._off_singularity(joints_rad))
+        return Values(room.min(axis=1), border_px, -facing_rad, self._off_singularity(joints_rad))
+
+    def _seen(self, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Look at poses as they are near the start and as they are near the goal, the worse."""
+        task = self._task
+        views = [poses] if not task.goal_known else [poses, displaced(poses, task.goal_shift)]
+        seen = [look(view, task.camera, task.object_points_m, task.home_depth_m)
+                for view in views]
+        return (np.min([view.border_px.min(axis=1) for view in seen], axis=0),
+                np.max([view.facing_rad for view in seen], axis=0))
 
     def _off_singularity(self, joints_rad: np.ndarray) -> np.ndarray:
         if self.through:

@@ -10,6 +10,7 @@ from homography_servo.geometry.camera import Camera
 from homography_servo.geometry.path import choose_count
 from homography_servo.geometry.path import interpolate
 from homography_servo.geometry.rigid import inverse as inverted
+from homography_servo.geometry.rigid import pose_difference
 from homography_servo.planning.checks import same_posture
 from homography_servo.planning.feasibility import check_path
 from homography_servo.planning.feasibility import look
@@ -128,6 +129,13 @@ class Task:
             return found
         others = [q for q in found if not same_posture(q, self.goal_joints_rad)]
         return np.array([self.goal_joints_rad, *others])
+
+    @cached_property
+    def goal_shift(self) -> np.ndarray:
+        """Give what the arm's model lacks (6,) of the goal where it was taught, 0 elsewhere."""
+        if self.goal_joints_rad is None:
+            return np.zeros(6)
+        return pose_difference(self.goal, self.poses_of(self.goal_joints_rad[None])[0])
 
     def poses_of(self, joints_rad: np.ndarray) -> np.ndarray:
         """Give the poses (N, 4, 4), as the camera would measure them, of joints (N, n)."""

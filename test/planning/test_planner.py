@@ -2,6 +2,10 @@
 
 from dataclasses import replace
 
+from homography_servo.experiments.servo_pairs import RobotPair
+from homography_servo.experiments.servo_pairs import wrong_world
+from homography_servo.experiments.servo_runs import Eye
+from homography_servo.experiments.servo_runs import plan_for
 from homography_servo.experiments.veto_check import Roadmap
 from homography_servo.geometry.camera import Camera
 from homography_servo.geometry.face import face_corners
@@ -209,6 +213,18 @@ def test_a_search_from_beyond_a_limit_comes_up_to_the_limit_and_keeps_it():
     up = int(np.argmax(conditioning >= SETTINGS.conditioning_min))
     assert (conditioning[:up] >= conditioning[0]).all()
     assert (conditioning[up:] >= SETTINGS.conditioning_min).all()
+
+
+@pytest.mark.parametrize('start_deg, goal_deg, seed', [
+    ((-15.95, -28.09, 42.99, 3.28, -54.06, -44.25), (-71.34, 60.92, -64.64, 70.84, 30.55, 29.14),
+     100610),  # in the other posture joint 2 is too near to its limit
+    ((21.63, -65.43, 9.89, -43.45, -24.39, 34.86), (2.36, 66.78, 36.48, 32.89, 23.47, 56.58),
+     100632)])  # what the model lacks at the goal moves the object towards the border
+def test_a_search_heeds_what_a_wrong_model_lacks_at_a_taught_goal(start_deg, goal_deg, seed):
+    pair = RobotPair(np.radians(start_deg), np.radians(goal_deg), seed)
+    world = wrong_world(ROBOT, pair)
+    found = plan_for(world, pair, Eye(world, 0.1, seed))
+    assert found.ok and found.family == 'a searched path in joint space through a singularity'
 
 
 def test_a_start_that_is_bad_is_told_at_once():
