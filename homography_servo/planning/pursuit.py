@@ -188,7 +188,7 @@ class Pursuit:
             step = self._step_to(self.index, settings)
             return Decision(FAILED, f'pose {attempt.index + 1} was not reached in '
                             f'{attempt.moves} moves; {over:.1f} times the tolerance is left'
-                            + (f': {self._hindrance(step)}' if _shortened(step) else ''))
+                            + (f': {self._hindrance(step, self.index)}' if _shortened(step) else ''))
         return self._step(settings)
 
     def _step(self, settings: ServoSettings) -> Decision:
@@ -198,7 +198,7 @@ class Pursuit:
         if _blocked(step) or _shortened(step) and self._attempt.moves >= TRIES and not last:
             step_on = self._step_past(index, settings)
             if step_on is None:
-                return Decision(FAILED, f'{self._hindrance(step)} before pose {index + 1}')
+                return Decision(FAILED, self._hindrance(step, index))
             step = step_on
         self._attempt.moves += 1
         return Decision(MOVING, joints_rad=step.joints_rad)
@@ -234,11 +234,12 @@ class Pursuit:
         self._attempt = attempt
         return None
 
-    def _hindrance(self, step: Step) -> str:
+    def _hindrance(self, step: Step, index: int) -> str:
         if step.limited_by == REACH:
-            return 'the arm does not reach so far'
+            return f'pose {index + 1} is beyond what the arm reaches'
         angle = self._watch.joints.known_rad[self._robot.joint_names.index(step.limited_by)]
-        return f'{step.limited_by} is at its limit ({math.degrees(angle):.1f} deg)'
+        return (f'{step.limited_by} is at its limit ({math.degrees(angle):.1f} deg) before pose '
+                f'{index + 1}')
 
     def _give_up(self, settings: ServoSettings, unsure: float, agrees: bool) -> Decision:
         where = f'pose {self.index + 1}'
