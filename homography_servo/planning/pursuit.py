@@ -186,9 +186,9 @@ class Pursuit:
                             f'{attempt.grown} moves in a row')
         if attempt.moves >= settings.iterations_max:
             step = self._step_to(self.index, settings)
+            why = f': {self._hindrance(step, self.index)}' if _shortened(step) else ''
             return Decision(FAILED, f'pose {attempt.index + 1} was not reached in '
-                            f'{attempt.moves} moves; {over:.1f} times the tolerance is left'
-                            + (f': {self._hindrance(step, self.index)}' if _shortened(step) else ''))
+                            f'{attempt.moves} moves; {over:.1f} times the tolerance is left{why}')
         return self._step(settings)
 
     def _step(self, settings: ServoSettings) -> Decision:
