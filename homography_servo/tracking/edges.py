@@ -45,7 +45,7 @@ class Edges(NamedTuple):
     contrast: np.ndarray  # grey levels inside minus outside
     outside: np.ndarray  # grey level
     residual: np.ndarray  # mean squared deviation of the pixels from the model
-    lines: np.ndarray  # scan lines in the segment
+    pixels: np.ndarray  # in the segment
     known: Known
     common: float  # offset that all segments share
     second: SecondEdge | None
@@ -132,7 +132,7 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
             second = second.in_plane(scale.take(layout.first_line.take(second.segment)))
     return Edges(side, sums.slope_along / np.maximum(sums.slope_slope, 1e-9),
                  geometry.normal.take(side, axis=1), inward, variance,
-                 contrast, levels.outside, residual, layout.lines, known, common, second)
+                 contrast, levels.outside, residual, sums.one, known, common, second)
 
 
 def line_distances(scan: Scan, geometry: Geometry

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+import math
 from typing import NamedTuple
 
 import cv2
@@ -10,7 +11,6 @@ from homography_servo.result import Rejected
 from homography_servo.result import required
 from homography_servo.tracking.edges import Edges
 from homography_servo.tracking.edges import SecondEdge
-from homography_servo.tracking.levels import middle
 from homography_servo.tracking.scan import Scan
 from homography_servo.tracking.strips import Strips
 import numpy as np
@@ -18,7 +18,8 @@ import numpy as np
 MODEL_ERROR_PX = 0.005  # straightness of a printed or cut edge, over one segment
 NOISE_FLOOR = 0.3  # mean squared grey level; rounding alone gives 1/12
 ROBUST_SIGMAS = 4.0  # where Tukey's weight ends
-ODD_RESIDUAL, ODD_POWER = 1.6, 2.0  # mean square over the noise's that noise cannot explain
+ODD_SIGMAS = 3.0  # a residual this far above its mean is more than noise
+QUIET_SHARE, QUIET_SIGMAS = 0.25, 0.674  # the lower quartile, and how far below the mean it is
 NARROW_PX = 0.6  # scatter up to which outliers show without a vote
 
 
@@ -105,16 +106,16 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
 
     """
     rows, inward = polygon_rows(edges, len(corners)), edges.inward
-    variance = edges.variance * _excess(edges)
-    variance += MODEL_ERROR_PX ** 2
+    beyond = np.full_like(inward, MODEL_ERROR_PX ** 2)
     if edges.second is not None and strips is not None:
-        variance += strips.doubt(edges.side, edges.along)
-    precision = usable / variance
+        beyond += strips.doubt(edges.side, edges.along)
     held, pull = _held(prior, corners)
     miss = inward
     if first and look.first_sure_px > NARROW_PX:  # the mean of a side would follow outliers
         miss = inward - _side_middles(inward, edges.side, usable, len(corners))
     for sure_px in (look.first_sure_px if first else look.sure_px, look.sure_px):
+        variance = _variance(edges, miss) + beyond
+        precision = usable / variance
         spread = variance + sure_px * sure_px
         weight = 1.0 - miss * miss / (ROBUST_SIGMAS ** 2 * spread)
         np.maximum(weight, 0.0, out=weight)
@@ -133,15 +134,21 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
                     miss, shift, float(np.maximum.reduce(np.abs(shift))))
 
 
-def _excess(edges: Edges) -> np.ndarray:
+def _variance(edges: Edges, miss: np.ndarray) -> np.ndarray:
     """
-    Say by what to multiply the variances that the segments' own residuals give.
+    Give the variances of the offsets of segments that miss the shape by so much.
 
     A lucky residual does not make a segment surer; one that noise cannot explain has
-    something else in it, which shifts the edge by more than its noise tells.
+    something else in it. Squares that the model leaves unexplained may have shifted the
+    edge by as much as if all of them had been its own (Cauchy and Schwarz).
     """
-    ratio = edges.residual / noise_of(edges)
-    return np.maximum(np.maximum(1.0 / ratio, 1.0), (ratio / ODD_RESIDUAL) ** ODD_POWER)
+    pixels = edges.pixels
+    explained = (edges.inward * edges.inward - miss * miss) / (edges.variance * pixels)
+    left = edges.residual * np.maximum(1.0 - explained, 0.1)
+    noise = noise_of(left, pixels)
+    usual = noise + noise * ODD_SIGMAS * np.sqrt(2.0 / pixels)
+    counted = np.maximum(left, noise) + pixels * np.maximum(left - usual, 0.0)
+    return counted * (edges.variance / edges.residual)
 
 
 def polygon_rows(edges: Edges, corner_count: int) -> np.ndarray:
@@ -186,6 +193,10 @@ def _side_middles(votes: np.ndarray, side: np.ndarray, usable: np.ndarray,
     return np.where(voters > 0, votes.take(chosen), 0.0).take(side)
 
 
-def noise_of(edges: Edges) -> float:
+def noise_of(residual: np.ndarray, pixels: np.ndarray) -> float:
     """Estimate the variance of the pixel noise from the quieter segments."""
-    return max(middle(edges.residual), NOISE_FLOOR)
+    count, ordered = len(residual), residual.copy()
+    quiet, typical = int(QUIET_SHARE * count), float(pixels[count // 2])
+    ordered.partition(quiet)
+    usual = 1.0 - QUIET_SIGMAS * math.sqrt(2.0 / typical)  # of the noise, in so few pixels
+    return max(float(ordered[quiet]) / usual, NOISE_FLOOR)

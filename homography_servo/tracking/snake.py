@@ -100,9 +100,9 @@ def quality_of(fit: SnakeFit) -> Quality:
     """Summarise the support of a fit."""
     edges, count = fit.edges, len(fit.corners)
     inlier = fit.weight > INLIER_WEIGHT
-    total = np.maximum(np.bincount(edges.side, edges.lines, count), 1.0)
-    supported = np.bincount(edges.side, edges.lines * inlier, count)
-    noise, chosen = math.sqrt(noise_of(edges)), inlier.nonzero()[0]
+    total = np.maximum(np.bincount(edges.side, edges.pixels, count), 1.0)
+    supported = np.bincount(edges.side, edges.pixels * inlier, count)
+    noise, chosen = math.sqrt(noise_of(edges.residual, edges.pixels)), inlier.nonzero()[0]
     if not len(chosen):
         return Quality(0.0, supported / total, 0.0, np.inf, noise, 0.0)
     contrast, miss = edges.contrast.take(chosen), fit.miss.take(chosen)
