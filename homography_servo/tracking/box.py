@@ -86,7 +86,7 @@ class BoxSides:
         self._pose = outline.pose
         width, rows = _at_corners(outline)
         shows = outline.width.max(axis=1) > NARROWEST_PX
-        width = np.where(shows[:, None], width, 0.0)
+        width = np.where(shows[:, None], width, outline.width)
         contrast = self._inside - self._outside
         contrast = np.where(np.abs(contrast) < 1.0, 1.0, contrast)
         level = (self._level * self._inside - self._outside) / contrast
