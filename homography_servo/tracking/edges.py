@@ -142,12 +142,14 @@ def line_distances(scan: Scan, geometry: Geometry
 
     Distances are in pixels of the image; the scale is None where the plane is the image.
     """
-    normal_u, normal_v = geometry.normal.take(scan.side, axis=1)
-    first = normal_u * scan.u + normal_v * scan.v - geometry.level.take(scan.side)
-    step = normal_u * scan.du + normal_v * scan.dv
+    side = scan.layout.side
+    normal = geometry.normal.take(side, axis=1)
+    first = np.add.reduce(normal * scan.start, axis=0)
+    first -= geometry.level.take(side)
+    step = np.add.reduce(normal * scan.step, axis=0)
     if not scan.bent:
         return first, step, None
-    scale = 1.0 / np.sqrt(scan.du * scan.du + scan.dv * scan.dv)
+    scale = 1.0 / np.sqrt(np.add.reduce(scan.step * scan.step, axis=0))
     return first * scale, step * scale, scale
 
 
@@ -159,9 +161,9 @@ def _cut_corners(scan: Scan, geometry: Geometry, profile: EdgeProfile, first: np
     The share of a blurred wedge is that of two correlated normal variables, by its
     series in the correlation (which is 0 at a right angle).
     """
-    total, near = scan.grey.shape[1], scan.near
-    alike = geometry.normal.T @ geometry.normal
-    skew = -alike[scan.side[near], scan.side[total:]].astype(np.float32)
+    layout, total = scan.layout, scan.grey.shape[1]
+    near, alike = layout.near, geometry.normal.T @ geometry.normal
+    skew = -alike[layout.own[total:], layout.side[total:]].astype(np.float32)
     cut_share, cut_slope = share[:, total:], slope[:, total:]
     own_share, own_slope = share.take(near, axis=1), slope.take(near, axis=1)
     if np.abs(skew).max(initial=0.0) < SQUARE:

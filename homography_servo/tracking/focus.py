@@ -69,7 +69,7 @@ def _sharpness(scan: Scan, corners: np.ndarray,
     share = profile.share(place)
     away = first[:total] + np.arange(count)[:, None] * step[:total]
     widened = away * profile.slope(place)  # of the share, times -sigma
-    widened[:, scan.near] = 0.0  # the next side is in these
+    widened[:, scan.layout.near] = 0.0  # the next side is in these
     pairs = ((share, scan.grey), (share, share), (widened, scan.grey), (widened, share),
              (widened, widened))
     table = np.array([share.sum(axis=0), widened.sum(axis=0),

@@ -2,7 +2,8 @@
 Lay scan lines across the sides of a polygon.
 
 Each line is a pixel column (flat sides) or row (steep sides), so that every pixel near
-a side lies on exactly one.
+a side lies on exactly one. How many lines there are, and which belong together, seldom
+changes from picture to picture and is worked out once.
 """
 
 from __future__ import annotations
@@ -13,72 +14,89 @@ from typing import NamedTuple
 
 import numpy as np
 
-CORNER_REACH_PX = 1.5  # lines go on for this much beyond the corners
+CORNER_REACH_PX = 1.5  # lines go on for about this much beyond the corners
 CORNER_ZONE_PX = 3.0  # lines this close to a corner see the next side too
 FAR_PX = 8  # pixels beyond either end of a line, for the grey levels only
+ROUND_LINES = 4  # a side has a multiple of so many lines, so that their number rests
+
+
+class Side(NamedTuple):
+    """How scan lines cross one side."""
+
+    lines: int
+    ends: int  # lines at either end that see the next side too
+    steep: bool  # whether lines are rows, because the side is steep
+    ahead: bool  # whether columns or rows grow along the side
 
 
 class Layout(NamedTuple):
-    """Which lines form which segment."""
+    """
+    Which lines belong to which side and segment.
 
+    There are n lines in s segments. Arrays of n + c entries repeat the c lines that are
+    close to a corner.
+    """
+
+    own: np.ndarray  # (n + c,) the line's side
+    side: np.ndarray  # (n + c,) the same; for the repeated ones, the side across the corner
+    number: np.ndarray  # (n + c,) counts the lines
+    steep: np.ndarray  # (n + c,) whether it is a row
+    step: np.ndarray  # (2, n + c) from pixel to pixel, u and v
+    near: np.ndarray  # (c,) which lines are repeated
     first_line: np.ndarray  # (s,) of each segment
     lines: np.ndarray  # (s,) in each segment
     segment_side: np.ndarray  # (s,)
+
+    @property
+    def count(self) -> int:
+        """Give the number of lines."""
+        return len(self.own) - len(self.near)
 
 
 class Lines(NamedTuple):
     """Scan lines before their pixels are read."""
 
-    side: np.ndarray  # (n,)
-    steep: np.ndarray  # (n,) whether the line is a row, because the side is steep
-    main: np.ndarray  # (n,) the column of a flat side's line, the row of a steep one's
-    base: np.ndarray  # (n,) first pixel along the line, the far ones included
-    along: np.ndarray  # (n,) place on the side
-    near: np.ndarray  # (c,) lines close to a corner
-    across: np.ndarray  # (c,) the side across that corner
+    layout: Layout
+    start: np.ndarray  # (2, n + c) u and v of the first pixel, far ones not counted
+    along: np.ndarray  # (n,) place on the side, 0 at its first corner, 1 at its second
 
 
 def place_lines(shown: np.ndarray, sag: np.ndarray | None, half: int, stride: int,
-                spans: np.ndarray | None) -> tuple[Lines, list[int]]:
-    """Lay scan lines across all sides; give also their numbers."""
+                per_segment: int, spans: np.ndarray | None) -> Lines:
+    """Lay scan lines across all sides."""
     corners, count, first = shown.tolist(), len(shown), 0
     bends = [(0.0, 0.0)] * count if sag is None else sag.tolist()
     parts = [(0.0, 1.0)] * count if spans is None else spans.tolist()
-    near, across, table, total = [], [], [], []
+    sides, rows = [], []
     for here, (corner, bend, part) in enumerate(zip(corners, bends, parts)):
-        before, after = (here - 1) % count, (here + 1) % count
-        row, lines, ends, ahead = _side_lines(corner, corners[after], bend, part, first, half,
-                                              stride)
-        table.append((here, *row))
-        near += [*range(first, first + ends), *range(first + lines - ends, first + lines)]
-        across += [before if ahead else after] * ends + [after if ahead else before] * ends
-        total.append(lines)
-        first += lines
-    side, low, along, along_step, cross, cross_step, bow, steep = np.repeat(
-        np.array(table).T, total, axis=1)
-    number = _counted(first)
-    along += along_step * number
-    cross += cross_step * number
+        row, side = _side_lines(corner, corners[(here + 1) % count], bend, part, first, half,
+                                stride)
+        rows.append(row)
+        sides.append(side)
+        first += side.lines
+    layout = layout_of(tuple(sides), per_segment)
+    table = np.array(rows).T.take(layout.own, axis=1)
+    main, along, cross = table[:3]
+    table[:3] += table[3:6] * layout.number
     if sag is not None:
-        cross += bow * along * (1.0 - along)
-    low += stride * number
-    return Lines(side.astype(np.intp), steep > 0.0, low, np.rint(cross) - (half + FAR_PX), along,
-                 np.array(near, np.intp), np.array(across, np.intp)), total
+        cross += table[6] * along * (1.0 - along)
+    across = np.rint(cross) - half
+    start = np.array((main, across))
+    np.copyto(start, start[::-1].copy(), where=layout.steep)
+    return Lines(layout, start, along[:layout.count])
 
 
 def _side_lines(start: list[float], end: list[float], bend: list[float], span: list[float],
-                before: int, half: int, stride: int) -> tuple[tuple[float, ...], int, int, bool]:
+                before: int, half: int, stride: int) -> tuple[tuple[float, ...], Side]:
     """
     Lay scan lines across one side.
 
     Returns
     -------
-    tuple of float, int, int, bool
+    tuple of float, Side
         Of line 0, which comes `before` lines before the first of this side: its column
-        or row, its place on the side and the step of it, the place across and the step
-        of it, four times the bend across, whether the side is steep. The number of
-        lines; how many at either end see the next side; whether columns or rows grow
-        along the side.
+        or row, its place on the side, the place across; the steps of these three from
+        line to line; four times the bend across.
 
     """
     steep = abs(end[1] - start[1]) > abs(end[0] - start[0])
@@ -92,43 +110,60 @@ def _side_lines(start: list[float], end: list[float], bend: list[float], span: l
     one, other = main + span[0] * run, main + span[1] * run
     low = math.ceil(min(one, other) - reach)
     lines = max(math.floor(max(one, other) + reach) - low, -stride) // stride + 1
-    low -= stride * before
-    row = (low, (low - main) / run, stride / run, cross + slope * (low - main), stride * slope,
-           4.0 * bend[not steep], steep)
-    return row, lines, min(int((near + reach) / stride) + 1, lines // 2), run > 0.0
+    rounded = ROUND_LINES * round(lines / ROUND_LINES)
+    low -= stride * ((rounded - lines) // 2 + before)
+    row = (low, (low - main) / run, cross + slope * (low - main), stride, stride / run,
+           stride * slope, 4.0 * bend[not steep])
+    ends = min(2 * (int((near + reach) / stride) // 2 + 1), rounded // 2)
+    return row, Side(rounded, ends, steep, run > 0.0)
 
 
-def lines_within(lines: Lines, half: int, shape: tuple[int, ...]) -> Lines:
-    """Keep the lines that lie inside the image wholly."""
-    height, width = shape
-    steep, main, base = lines.steep, lines.main, lines.base
-    keep = (base >= 0) & (base + 2 * (half + FAR_PX) + 1 <= np.where(steep, width, height)) \
-        & (main >= 0) & (main < np.where(steep, height, width))
-    near = keep[lines.near]
-    return Lines(lines.side[keep], steep[keep], main[keep], base[keep], lines.along[keep],
-                 (np.cumsum(keep) - 1)[lines.near[near]], lines.across[near])
+@lru_cache(maxsize=64)
+def layout_of(sides: tuple[Side, ...], per_segment: int) -> Layout:
+    """Say which lines belong together."""
+    near: list[int] = []
+    across: list[int] = []
+    count, first = len(sides), 0
+    for here, side in enumerate(sides):
+        after = first + side.lines
+        near += [*range(first, first + side.ends), *range(after - side.ends, after)]
+        before, behind = (here - 1) % count, (here + 1) % count
+        first_across, last_across = (before, behind) if side.ahead else (behind, before)
+        across += [first_across] * side.ends + [last_across] * side.ends
+        first = after
+    own = np.repeat(np.arange(count), [side.lines for side in sides])
+    steep = np.array([side.steep for side in sides])
+    return _cut(own, steep, np.array(near, np.intp), np.array(across, np.intp), per_segment)
 
 
-def cut_lines(total: list[int], per_segment: int) -> Layout:
+def _cut(own: np.ndarray, steep: np.ndarray, near: np.ndarray, across: np.ndarray,
+         per_segment: int) -> Layout:
     """Cut the lines of each side into segments of about the same length."""
-    parts = [max(1, round(lines / per_segment)) if lines else 0 for lines in total]
-    table, line, segment = [], 0, 0
-    for corner, (lines, cuts) in enumerate(zip(total, parts)):
-        table.append((corner, line, segment, lines, max(cuts, 1)))
-        line, segment = line + lines, segment + cuts
-    side, lead, begun, length, share = np.repeat(np.array(table).T, parts, axis=1)
-    first = lead + (_counted(len(side)) - begun) * length // share
-    number = np.empty_like(first)
-    np.subtract(first[1:], first[:-1], out=number[:-1])
-    number[-1:] = sum(total) - first[-1:]
-    return Layout(first, number, side)
+    first_line, segment_side = [], []
+    for side in range(len(steep)):
+        first, last = np.searchsorted(own, [side, side + 1]).tolist()
+        cuts = max(1, round((last - first) / per_segment)) if last > first else 0
+        first_line += [first + (last - first) * cut // cuts for cut in range(cuts)]
+        segment_side += [side] * cuts
+    number = np.concatenate((np.arange(len(own)), near))
+    both = np.concatenate((own, own[near]))
+    step = np.array((steep[both], ~steep[both]), float)
+    return Layout(both, np.concatenate((own, across)), number.astype(float), steep[both], step,
+                  near, np.array(first_line), np.diff([*first_line, len(own)]),
+                  np.array(segment_side))
 
 
-@lru_cache(maxsize=32)
-def _up_to(count: int) -> np.ndarray:
-    return np.arange(count)
-
-
-def _counted(count: int) -> np.ndarray:
-    """Give 0, 1, 2, ... without making it anew each time."""
-    return _up_to(1 << count.bit_length())[:count]
+def lines_within(lines: Lines, corner_count: int, half: int, shape: tuple[int, ...],
+                 per_segment: int) -> Lines:
+    """Keep the lines that lie inside the image wholly."""
+    layout, total = lines.layout, lines.layout.count
+    before = FAR_PX * layout.step
+    low, high = lines.start - before, lines.start + before + (2 * half) * layout.step
+    limit = np.array([[shape[1]], [shape[0]]])
+    keep = ((low >= 0.0) & (high < limit)).all(axis=0)
+    own, near = keep[:total], keep[total:]
+    steep = np.zeros(corner_count, bool)
+    steep[layout.own] = layout.steep
+    kept = _cut(layout.own[:total][own], steep, (np.cumsum(own) - 1)[layout.near[near]],
+                layout.side[total:][near], per_segment)
+    return Lines(kept, lines.start[:, keep], lines.along[own])

@@ -12,7 +12,6 @@ from functools import lru_cache
 import math
 from typing import NamedTuple
 
-from homography_servo.tracking.lines import cut_lines
 from homography_servo.tracking.lines import FAR_PX
 from homography_servo.tracking.lines import Layout
 from homography_servo.tracking.lines import Lines
@@ -40,9 +39,8 @@ class Scan(NamedTuple):
     """
     Pixels across the sides; n lines of k pixels each, in s segments.
 
-    Points are in the plane of straight edges. The first n entries of ``side``, ``u``,
-    ``v``, ``du``, ``dv`` are the lines; the other c repeat the lines close to a corner
-    together with the side across that corner.
+    Points are in the plane of straight edges. The arrays of n + c entries repeat the
+    lines close to a corner, to be seen from the side across that corner.
     """
 
     grey: np.ndarray  # (k, n) float32 grey levels
@@ -50,13 +48,9 @@ class Scan(NamedTuple):
     high_sum: np.ndarray  # (s,) and after the last
     grey_sum: np.ndarray  # (s,) sum of the grey levels of each segment
     grey_square: np.ndarray  # (s,) and of their squares
-    side: np.ndarray  # (n + c,) which side
-    u: np.ndarray  # (n + c,) first pixel
-    v: np.ndarray
-    du: np.ndarray  # (n + c,) from pixel to pixel
-    dv: np.ndarray
+    start: np.ndarray  # (2, n + c) first pixel
+    step: np.ndarray  # (2, n + c) from pixel to pixel
     along: np.ndarray  # (n,) place on the side, 0 at its first corner, 1 at its second
-    near: np.ndarray  # (c,) lines close to a corner
     layout: Layout
     bent: bool  # whether the plane differs from the image
 
@@ -107,13 +101,12 @@ def read_scan(image: np.ndarray, corners: np.ndarray, plane: Plane, half: int, s
     outside_px = _outside(shown, image.shape)
     if not outside_px < FARTHEST_PX:
         return None
-    lines, total = place_lines(shown, sag, half, stride, spans)
+    lines = place_lines(shown, sag, half, stride, lines_per_segment, spans)
     if outside_px + half + FAR_PX + 3 > 0.0:
-        lines = lines_within(lines, half, image.shape)
-        total = np.bincount(lines.side, minlength=len(corners)).tolist()
-        if len(lines.side) < 3 * len(corners):
+        lines = lines_within(lines, len(corners), half, image.shape, lines_per_segment)
+        if lines.layout.count < 3 * len(corners):
             return None
-    return _gather(image, plane, half, lines, cut_lines(total, lines_per_segment))
+    return _gather(image, plane, half, lines)
 
 
 def _as_shown(corners: np.ndarray,
@@ -137,56 +130,37 @@ def _outside(shown: np.ndarray, shape: tuple[int, ...]) -> float:
 
 
 @lru_cache(maxsize=32)
-def _read(half: int) -> np.ndarray:
-    """Give the pixels of a line that are read, as a column."""
+def _read(half: int) -> tuple[np.ndarray, np.ndarray]:
+    """Give the pixels of a line that are read, as a column, and what sums them up in parts."""
     length = 2 * half + 1
-    low = np.arange(0, FAR_PX, FAR_STEP)
-    return np.concatenate([low, FAR_PX + np.arange(length),
-                           FAR_PX + length + FAR_STEP - 1 + low])[:, None]
+    low = np.arange(-FAR_PX, 0, FAR_STEP)
+    pixels = np.concatenate([low, np.arange(length), length - 1 - low[::-1]])
+    part = np.repeat([0, 1, 2], [FAR_READ, length, FAR_READ])
+    return pixels[:, None], np.equal.outer([0, 2, 1], part).astype(np.float32)
 
 
-def _gather(image: np.ndarray, plane: Plane, half: int, lines: Lines, layout: Layout) -> Scan:
-    width, total, read = image.shape[1], len(lines.side), _read(half)
-    step = np.where(lines.steep, 1, width)
-    first = ((width + 1 - step) * lines.main + step * lines.base).astype(np.intp)
-    pixel = read * step
-    pixel += first
+def _gather(image: np.ndarray, plane: Plane, half: int, lines: Lines) -> Scan:
+    layout, total, (read, parts) = lines.layout, lines.layout.count, _read(half)
+    to_pixel = np.array([1.0, image.shape[1]])
+    first, step = (to_pixel @ lines.start).astype(np.intp), \
+        (to_pixel @ layout.step).astype(np.intp)
+    pixel = read * step[:total]
+    pixel += first[:total]
     grey = image.reshape(-1).take(pixel).astype(np.float32)
     close = grey[FAR_READ:-FAR_READ]
     table = np.empty((4, total), np.float32)
-    np.add.reduce(grey[:FAR_READ], axis=0, out=table[0])
-    np.add.reduce(grey[-FAR_READ:], axis=0, out=table[1])
-    np.add.reduce(close, axis=0, out=table[2])
+    np.matmul(parts, grey, out=table[:3])
     np.einsum('ij,ij->j', close, close, out=table[3])
     sums = np.add.reduceat(table, layout.first_line, axis=1, dtype=float)
-    place = np.empty((4, total + len(lines.near)))
-    if plane.bent:
-        _in_plane(plane, first, step, half, place[:, :total])
-    else:
-        _in_image(lines, place[:, :total])
-    place[:, total:] = place.take(lines.near, axis=1)
-    low, high, grey_sum, grey_square = sums
-    u, v, du, dv = place
-    return Scan(close, low, high, grey_sum, grey_square,
-                np.concatenate((lines.side, lines.across)), u, v, du, dv, lines.along, lines.near,
-                layout, plane.bent)
+    start, advance = _in_plane(plane, first, step, half) if plane.bent \
+        else (lines.start, layout.step)
+    return Scan(close, *sums, start, advance, lines.along, layout, plane.bent)
 
 
-def _in_image(lines: Lines, place: np.ndarray) -> None:
-    """Write each line's first pixel and its advance in the image: u, v, du, dv."""
-    steep, near = lines.steep, lines.base + FAR_PX
-    place[0], place[1] = lines.main, near
-    np.copyto(place[0], near, where=steep)
-    np.copyto(place[1], lines.main, where=steep)
-    place[2] = steep
-    np.subtract(1.0, place[2], out=place[3])
-
-
-def _in_plane(plane: Plane, first: np.ndarray, step: np.ndarray, half: int,
-              place: np.ndarray) -> None:
-    """Write the same in the plane of a lens that bends."""
-    first = first + FAR_PX * step
+def _in_plane(plane: Plane, first: np.ndarray, step: np.ndarray,
+              half: int) -> tuple[np.ndarray, np.ndarray]:
+    """Give start and step of lines in the plane of a lens that bends."""
     last = first + 2 * half * step
-    for axis, straight in enumerate(plane.maps):
-        place[axis] = straight.take(first)
-        place[2 + axis] = (straight.take(last) - place[axis]) / (2 * half)
+    start = np.array([straight.take(first) for straight in plane.maps])
+    end = np.array([straight.take(last) for straight in plane.maps])
+    return start, (end - start) / (2 * half)

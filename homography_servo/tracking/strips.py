@@ -81,7 +81,7 @@ class Strips(NamedTuple):
 
         """
         layout, total = scan.layout, share.shape[1]
-        width = self.width_at(scan.side[:total], scan.along)
+        width = self.width_at(layout.side[:total], scan.along)
         if scale is not None:
             width = width * scale[:total]
         middle = width.take(layout.first_line + layout.lines // 2)
@@ -92,7 +92,7 @@ class Strips(NamedTuple):
         counted = layout.lines[chosen]
         shift = np.rint(width.take(lines) * STEPS_PER_PX).astype(np.intp)
         behind = place.take(lines, axis=1) + shift
-        level = self.level.take(scan.side.take(lines)).astype(np.float32)
+        level = self.level.take(layout.side.take(lines)).astype(np.float32)
         own = share.take(lines, axis=1)
         strip = profile.share(behind) - own
         back_slope = level * profile.slope(behind)

@@ -64,10 +64,10 @@ def test_every_pixel_near_a_side_is_read_once(seed):
     scan = read_scan((image % 251).astype(np.uint8), corners, IDEAL, 4)
     total = scan.grey.shape[1]
     count = np.arange(9)[:, None]
-    u, v = scan.u[:total] + count * scan.du[:total], scan.v[:total] + count * scan.dv[:total]
+    u, v = scan.start[:, None, :total] + count * scan.step[:, None, :total]
     assert scan.grey == pytest.approx((320 * v + u) % 251)
     for side in range(4):
-        own = scan.side[:total] == side
+        own = scan.layout.side[:total] == side
         places = set(zip(u[:, own].ravel(), v[:, own].ravel()))
         assert len(places) == 9 * own.sum()
 
