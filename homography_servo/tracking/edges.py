@@ -12,6 +12,7 @@ is that of two edges a known distance apart, and the distance is measured too.
 
 from __future__ import annotations
 
+from functools import lru_cache
 import math
 from typing import NamedTuple
 
@@ -105,14 +106,13 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
     geometry, layout = side_geometry(corners), scan.layout
     first, step, scale = line_distances(scan, geometry)
     place = profile.places(first, step, len(scan.grey))
-    share, slope = profile.share(place), profile.slope(place)
-    _cut_corners(scan, geometry, profile, first, step, share, slope)
-    total = scan.grey.shape[1]
-    share, slope = share[:, :total], slope[:, :total]
+    edge = profile.share_and_slope(place)
+    _cut_corners(scan, geometry, profile, first, step, edge)
+    share, slope = edge = edge[:, :, :layout.count]
     back = None
     if strips is not None:
         back = strips.mix_in(scan, profile, place, scale, share, slope)
-    sums = _sums(scan, share, slope)
+    sums = _sums(scan, edge)
     levels = fit_levels(sums, scan, step, known, memory)
     contrast, residual, known = levels.contrast, levels.residual, levels.known
     response = sums.slope_grey - levels.outside * sums.slope - contrast * sums.slope_share
@@ -154,30 +154,31 @@ def line_distances(scan: Scan, geometry: Geometry
 
 
 def _cut_corners(scan: Scan, geometry: Geometry, profile: EdgeProfile, first: np.ndarray,
-                 step: np.ndarray, share: np.ndarray, slope: np.ndarray) -> None:
+                 step: np.ndarray, edge: np.ndarray) -> None:
     """
     Let the next side cut off the lines close to a corner, in place.
 
     The share of a blurred wedge is that of two correlated normal variables, by its
     series in the correlation (which is 0 at a right angle).
     """
-    layout, total = scan.layout, scan.grey.shape[1]
+    layout, total = scan.layout, scan.layout.count
     near, alike = layout.near, geometry.normal.T @ geometry.normal
     skew = -alike[layout.own[total:], layout.side[total:]].astype(np.float32)
-    cut_share, cut_slope = share[:, total:], slope[:, total:]
-    own_share, own_slope = share.take(near, axis=1), slope.take(near, axis=1)
+    own, (cut_share, cut_slope) = edge.take(near, axis=2), edge[:, :, total:]
     if np.abs(skew).max(initial=0.0) < SQUARE:
-        share[:, near], slope[:, near] = own_share * cut_share, own_slope * cut_share
+        edge[:, :, near] = own * cut_share
         return
+    share, slope = own
     count = np.arange(len(share), dtype=np.float32)[:, None]
-    away = (first[near] + count * step[near]).astype(np.float32)
-    beyond = (first[total:] + count * step[total:]).astype(np.float32)
-    twist = -skew * cut_slope
+    away = first.take(near).astype(np.float32) + count * step.take(near).astype(np.float32)
+    beyond = first[total:].astype(np.float32) + count * step[total:].astype(np.float32)
     variance = np.float32(profile.sigma_px ** 2)
-    half = 0.5 * twist * skew * beyond
-    share[:, near] = own_share * cut_share + own_slope * (variance * twist - half * away)
-    slope[:, near] = own_slope * (cut_share - twist * away
-                                  + half * (away * away / variance - 1.0))
+    twist = skew * cut_slope
+    half = (np.float32(0.5) * skew) * twist * beyond
+    share *= cut_share
+    share += slope * (half * away - variance * twist)
+    slope *= cut_share + twist * away - half * (away * away / variance - np.float32(1.0))
+    edge[:, :, near] = own
 
 
 def _with_common(inward: np.ndarray, variance: np.ndarray, sums: Sums,
@@ -198,18 +199,22 @@ def _with_common(inward: np.ndarray, variance: np.ndarray, sums: Sums,
     return inward + doubtful * learnt, common + doubtful * learnt
 
 
-def _sums(scan: Scan, share: np.ndarray, slope: np.ndarray) -> Sums:
-    table = np.empty((8, share.shape[1]), np.float32)
-    np.add.reduce(share, axis=0, out=table[0])
-    np.einsum('ij,ij->j', share, share, out=table[1])
-    np.einsum('ij,ij->j', share, scan.grey, out=table[2])
-    np.add.reduce(slope, axis=0, out=table[3])
-    np.einsum('ij,ij->j', slope, share, out=table[4])
-    np.einsum('ij,ij->j', slope, slope, out=table[5])
-    np.einsum('ij,ij->j', slope, scan.grey, out=table[6])
-    np.multiply(table[5], scan.along, out=table[7])
-    total = np.add.reduceat(table, scan.layout.first_line, axis=1, dtype=float)
-    return Sums(scan.layout.lines * float(len(share)), scan.grey_sum, *total)
+def _sums(scan: Scan, edge: np.ndarray) -> Sums:
+    pixels, lines = scan.grey.shape
+    table = np.empty((9, lines), np.float32)
+    np.matmul(_ones(pixels), edge, out=table[:2, None])
+    np.einsum('akn,kn->an', edge, scan.grey, out=table[2:4])
+    np.einsum('akn,bkn->abn', edge, edge, out=table[4:8].reshape(2, 2, lines))
+    np.multiply(table[7], scan.along, out=table[8])
+    share, slope, share_grey, slope_grey, share_share, slope_share, _, slope_slope, slope_along \
+        = np.add.reduceat(table, scan.layout.first_line, axis=1, dtype=float)
+    return Sums(scan.layout.lines * float(pixels), scan.grey_sum, share, share_share, share_grey,
+                slope, slope_share, slope_slope, slope_grey, slope_along)
+
+
+@lru_cache(maxsize=32)
+def _ones(count: int) -> np.ndarray:
+    return np.ones((1, count), np.float32)
 
 
 def _straightened(step: np.ndarray, sigma_px: float) -> np.ndarray:

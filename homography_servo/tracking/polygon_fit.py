@@ -113,25 +113,24 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
     miss = inward
     if first and look.first_sure_px > NARROW_PX:  # the mean of a side would follow outliers
         miss = inward - _side_middles(inward, edges.side, usable, len(corners))
-    for sure_px in (look.first_sure_px if first else look.sure_px, look.sure_px):
+    for sure_px in (look.first_sure_px, look.sure_px) if first else (look.sure_px,):
         variance = _variance(edges, miss) + beyond
-        precision = usable / variance
-        spread = variance + sure_px * sure_px
-        weight = 1.0 - miss * miss / (ROBUST_SIGMAS ** 2 * spread)
+        weight = 1.0 - miss * miss / (ROBUST_SIGMAS ** 2 * (variance + sure_px * sure_px))
         np.maximum(weight, 0.0, out=weight)
-        weight *= weight
-        weighted = rows * (precision * weight)
+        weight *= weight * usable
+        precision = weight / variance
+        weighted = rows * precision
         information, target = weighted @ rows.T + held, weighted @ inward + pull
         if edges.second is not None and strips is not None:
             _add_widths(information, target, edges, edges.second, strips, rows,
-                        weight * precision * edges.variance)
+                        precision * edges.variance)
         determined, covariance = cv2.invert(information, flags=cv2.DECOMP_CHOLESKY)
         if not determined:
             return Rejected('the edges do not determine the corners')
         shift = covariance @ target
         miss = inward - shift @ rows
-    return SnakeFit(corners + shift.reshape(corners.shape), covariance, edges, weight * usable,
-                    miss, shift, float(np.maximum.reduce(np.abs(shift))))
+    return SnakeFit(corners + shift.reshape(corners.shape), covariance, edges, weight, miss,
+                    shift, float(np.maximum.reduce(np.abs(shift))))
 
 
 def _variance(edges: Edges, miss: np.ndarray) -> np.ndarray:

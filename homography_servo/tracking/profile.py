@@ -56,6 +56,13 @@ class EdgeProfile:
         place += (STEPS_PER_PX * first_px + (REACH_PX * STEPS_PER_PX + 0.5)).astype(np.float32)
         return place.astype(np.intp)
 
+    def share_and_slope(self, place: np.ndarray) -> np.ndarray:
+        """Look up both (2, ...)."""
+        both = np.empty((2, *place.shape), np.float32)
+        self._share.take(place, mode='clip', out=both[0])
+        self._slope.take(place, mode='clip', out=both[1])
+        return both
+
     def share(self, place: np.ndarray) -> np.ndarray:
         """Look up the share of the pixel inside the edge."""
         return self._share.take(place, mode='clip')
