@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import cv2
 from homography_servo.geometry.face import face_corners
 from homography_servo.result import Rejected
 from homography_servo.tracking.edges import Edges
 from homography_servo.tracking.face_pose import FacePose
-from homography_servo.tracking.face_pose import next_pose
+from homography_servo.tracking.face_pose import moved_pose
 from homography_servo.tracking.face_pose import pose_of_face
 from homography_servo.tracking.face_pose import project
-from homography_servo.tracking.face_pose import projection_jacobian
+from homography_servo.tracking.face_pose import project_with_slopes
 from homography_servo.tracking.levels import middle
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import Prior
@@ -29,12 +30,15 @@ LEARN_PX = 0.7  # narrower strips teach nothing
 RIGID_SIGMA_PX = 0.3  # of the corners about a view of the face: lens, size, flatness
 CORNER_MARGIN_PX = 2.5  # a corner where a side shows is left out by this
 CLEAR_PX = 1.5  # a side this much wider than the scan lines hides what is behind
+UNIT, WHOLE = np.eye(8), np.full((4, 2), (0.0, 1.0))
+ENDS = np.array([[0, 4], [5, 9], [10, 14], [15, 3]])  # (corner, side) of both ends of each side
 
 
 class Outline(NamedTuple):
     """The box behind the face in one picture."""
 
     pose: FacePose
+    step: np.ndarray  # (6,) turn and shift since the last one
     width: np.ndarray  # (4, 2) of the strip beside each side, at its corners [px]
     reach: np.ndarray  # (4, 2) where along the side these widths are, 0 to 1
     rows: np.ndarray  # (4, 2, 8) change of the widths with the corners
@@ -62,6 +66,7 @@ class BoxSides:
         self._front_m = front
         self._all_m = np.vstack([front, front + (0.0, 0.0, height_m)])
         self._pose: FacePose | None = None
+        self._step = np.zeros(6)  # from picture to picture
         self._level = np.full(4, FIRST_LEVEL)  # over that of the face
         self._variance = np.full(4, FIRST_SIGMA ** 2)
         self._inside: float | None = None
@@ -83,7 +88,7 @@ class BoxSides:
         outline = self.outline(corners)
         if isinstance(outline, Rejected):
             return None, None
-        self._pose = outline.pose
+        self._pose, self._step = outline.pose, outline.step
         width, rows = _at_corners(outline)
         shows = outline.width.max(axis=1) > NARROWEST_PX
         width = np.where(shows[:, None], width, outline.width)
@@ -97,33 +102,37 @@ class BoxSides:
 
     def outline(self, corners: np.ndarray) -> Outline | Rejected:
         """Find the pose of the face and from it the outline of the box."""
-        rays = self._plane.rays(corners)
-        pose = pose_of_face(self._front_m, rays) if self._pose is None \
-            else next_pose(self._front_m, rays, self._pose)
-        if isinstance(pose, Rejected):
+        near = self._pose
+        if near is None:
+            first = pose_of_face(self._front_m, self._plane.rays(corners))
+            if isinstance(first, Rejected):
+                return first
+            near, self._step = first, np.zeros(6)
+        near, focal = moved_pose(near, self._step, near.miss), self._plane.focal
+        predicted, slopes = project_with_slopes(self._all_m, near.rotation, near.translation)
+        slopes *= focal[:, None]
+        front = slopes[:4].reshape(8, 6)
+        determined, covariance = cv2.invert(front.T @ front, flags=cv2.DECOMP_CHOLESKY)
+        if not determined:
             self._pose = None
-            return pose
-        focal = self._plane.focal
+            return Rejected('the pose of the face is not determined')
+        pose_from_corners = covariance @ front.T
+        miss = (corners - self._plane.from_rays(predicted[:4])).ravel()
+        step = pose_from_corners @ miss
+        miss = (miss - front @ step).reshape(4, 2)
+        pose = moved_pose(near, step, miss / focal)
         back = self._plane.from_rays(project(self._all_m[4:], pose.rotation, pose.translation))
-        slopes = focal[:, None] * projection_jacobian(self._all_m, pose.rotation,
-                                                      pose.translation)
-        pose_from_corners = np.linalg.pinv(slopes[:4].reshape(8, 6))
-        geometry = side_geometry(corners)
-        behind, lag = back - corners, slopes[4:] - slopes[:4]
-        ends = np.stack([np.arange(4), np.array([1, 2, 3, 0])], axis=1)
-        width = -np.einsum('ki,ijk->ij', geometry.normal, behind[ends])
-        drift = np.einsum('ik,ijk->ij', geometry.edge, behind[ends])
-        reach = drift / geometry.length[:, None] ** 2 + (0.0, 1.0)
-        rows = -np.einsum('ki,ijkp->ijp', geometry.normal, lag[ends]) @ pose_from_corners
-        bend = np.eye(8) - slopes[:4].reshape(8, 6) @ pose_from_corners
-        rigid = Prior(corners - focal * pose.miss, bend / RIGID_SIGMA_PX ** 2)
-        return Outline(pose, width, reach, rows, rigid)
+        width, reach, rows = _beside(corners, back, slopes[4:] - slopes[:4], pose_from_corners)
+        rigid = Prior(corners - miss, (UNIT - front @ pose_from_corners) / RIGID_SIGMA_PX ** 2)
+        return Outline(pose, self._step + step, width, reach, rows, rigid)
 
     def _spans(self, outline: Outline, corners: np.ndarray, shows: np.ndarray) -> np.ndarray:
         """Leave out corners where a side shows: more than two surfaces meet there."""
+        spans = WHOLE.copy()
+        if not shows.any():
+            return spans
         margin = CORNER_MARGIN_PX / side_geometry(corners).length
-        spans = np.full((4, 2), (0.0, 1.0))
-        before, after = shows[[3, 0, 1, 2]], shows[[1, 2, 3, 0]]
+        before, after = shows.take((3, 0, 1, 2)), shows.take((1, 2, 3, 0))
         low = np.where(shows, np.maximum(outline.reach[:, 0], 0.0), 0.0)
         high = np.where(shows, np.minimum(outline.reach[:, 1], 1.0), 1.0)
         low, high = low + margin * (shows | before), high - margin * (shows | after)
@@ -168,6 +177,33 @@ class BoxSides:
         gain = self._variance[side] / (self._variance[side] + variance)
         self._level[side] += gain * (min(max(level, 0.0), 2.0) - self._level[side])
         self._variance[side] *= 1.0 - gain
+
+
+def _beside(corners: np.ndarray, back: np.ndarray, lag: np.ndarray,
+            pose_from_corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Measure how far the corners of the back lie beside the sides of the face.
+
+    Parameters
+    ----------
+    corners, back : (4, 2) array
+        Of the face, and of the back of the box.
+    lag : (4, 2, 6) array
+        How much more the back moves than the face with the pose.
+    pose_from_corners : (6, 8) array
+        How the pose follows the corners.
+
+    Returns
+    -------
+    (4, 2) array, (4, 2) array, (4, 2, 8) array
+        Width, reach and rows of the outline.
+
+    """
+    geometry, behind = side_geometry(corners), back - corners
+    width = -(behind @ geometry.normal).take(ENDS)
+    reach = (behind @ (geometry.edge.T / geometry.length ** 2)).take(ENDS) + (0.0, 1.0)
+    drift = (geometry.normal.T @ lag).reshape(16, 6).take(ENDS, axis=0)
+    return width, reach, -drift @ pose_from_corners
 
 
 def _at_corners(outline: Outline) -> tuple[np.ndarray, np.ndarray]:

@@ -66,33 +66,29 @@ def project(points_m: np.ndarray, rotation: np.ndarray, translation: np.ndarray)
     return points[:, :2] / points[:, 2:]
 
 
-def projection_jacobian(points_m: np.ndarray, rotation: np.ndarray,
-                        translation: np.ndarray) -> np.ndarray:
+def project_with_slopes(points_m: np.ndarray, rotation: np.ndarray,
+                        translation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Differentiate projected points by a small turn (camera axes) and shift of the object.
+    Project points and differentiate them by a small turn (camera axes) and shift.
 
     Returns
     -------
-    (N, 2, 6) array
-        Columns rx, ry, rz, x, y, z.
+    (N, 2) array, (N, 2, 6) array
+        Normalised coordinates; their derivatives, columns rx, ry, rz, x, y, z.
 
     """
-    return _jacobian(points_m @ rotation.T, translation)[1]
-
-
-def _jacobian(turned: np.ndarray, translation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Project turned points (N, 3); give rays (N, 2) and their derivative (N, 2, 6)."""
+    turned = points_m @ rotation.T
     points = turned + translation
     inverse = 1.0 / points[:, 2]
     rays = points[:, :2] * inverse[:, None]
     x, y = rays.T
     a, b, c = turned.T * inverse
-    out = np.zeros((len(x), 2, 6))
-    out[:, 0, 0], out[:, 0, 1], out[:, 0, 2] = -x * b, c + x * a, -b
-    out[:, 1, 0], out[:, 1, 1], out[:, 1, 2] = -c - y * b, y * a, a
-    out[:, 0, 3] = out[:, 1, 4] = inverse
-    out[:, 0, 5], out[:, 1, 5] = -x * inverse, -y * inverse
-    return rays, out
+    slopes = np.zeros((len(x), 2, 6))
+    slopes[:, 0, 0], slopes[:, 0, 1], slopes[:, 0, 2] = -x * b, c + x * a, -b
+    slopes[:, 1, 0], slopes[:, 1, 1], slopes[:, 1, 2] = -c - y * b, y * a, a
+    slopes[:, 0, 3] = slopes[:, 1, 4] = inverse
+    slopes[:, 0, 5], slopes[:, 1, 5] = -x * inverse, -y * inverse
+    return rays, slopes
 
 
 def next_pose(points_m: np.ndarray, rays: np.ndarray, near: FacePose) -> FacePose | Rejected:
@@ -105,19 +101,22 @@ def next_pose(points_m: np.ndarray, rays: np.ndarray, near: FacePose) -> FacePos
         The pose; what its projection misses is right to first order.
 
     """
-    predicted, slope = _jacobian(points_m @ near.rotation.T, near.translation)
+    predicted, slope = project_with_slopes(points_m, near.rotation, near.translation)
     slope, miss = slope.reshape(-1, 6), (rays - predicted).reshape(-1, 1)
     solved, step = cv2.solve(slope.T @ slope, slope.T @ miss, flags=cv2.DECOMP_CHOLESKY)
     if not solved:
         return Rejected('the pose of the face is not determined')
-    left = (miss - slope @ step).reshape(-1, 2)
-    step = step[:, 0]
-    return FacePose(_turned(near.rotation, step[:3]), near.translation + step[3:], left)
+    return moved_pose(near, step[:, 0], (miss - slope @ step).reshape(-1, 2))
+
+
+def moved_pose(near: FacePose, step: np.ndarray, miss: np.ndarray) -> FacePose:
+    """Move a pose by a small turn and shift (6,); say what its projection misses then."""
+    return FacePose(_turned(near.rotation, step[:3]), near.translation + step[3:], miss)
 
 
 def _linearise(points_m: np.ndarray, rays: np.ndarray, rotation: np.ndarray,
                translation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    predicted, slope = _jacobian(points_m @ rotation.T, translation)
+    predicted, slope = project_with_slopes(points_m, rotation, translation)
     return rays - predicted, slope.reshape(-1, 6)
 
 
