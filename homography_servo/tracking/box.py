@@ -7,29 +7,21 @@ from typing import NamedTuple
 import cv2
 from homography_servo.geometry.face import face_corners
 from homography_servo.result import Rejected
-from homography_servo.tracking.edges import Edges
 from homography_servo.tracking.face_pose import FacePose
 from homography_servo.tracking.face_pose import moved_pose
 from homography_servo.tracking.face_pose import pose_of_face
 from homography_servo.tracking.face_pose import project
 from homography_servo.tracking.face_pose import project_with_slopes
-from homography_servo.tracking.levels import middle
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import Prior
 from homography_servo.tracking.scan import side_geometry
+from homography_servo.tracking.side_levels import SideLevels
 from homography_servo.tracking.strips import NARROWEST_PX
 from homography_servo.tracking.strips import Strips
 import numpy as np
 
-FIRST_LEVEL, FIRST_SIGMA = 0.55, 0.2  # of a side, over that of the face
-DRIFT_SIGMA = 0.01  # per picture: the box turns in the light
-SURFACE_SIGMA = 0.03  # of a side that is seen well
-WIDTH_SIGMA_PX = 0.25  # of a strip, as the pose predicts it
-EDGE_SIGMA_PX = 0.15  # of the face's edge beside it
-LEARN_PX = 0.7  # narrower strips teach nothing
 RIGID_SIGMA_PX = 0.3  # of the corners about a view of the face: lens, size, flatness
 CORNER_MARGIN_PX = 2.5  # a corner where a side shows is left out by this
-CLEAR_PX = 1.5  # a side this much wider than the scan lines hides what is behind
 UNIT, WHOLE = np.eye(8), np.full((4, 2), (0.0, 1.0))
 ENDS = np.array([[0, 4], [5, 9], [10, 14], [15, 3]])  # (corner, side) of both ends of each side
 
@@ -47,7 +39,7 @@ class Outline(NamedTuple):
 
 class BoxSides:
     """
-    Predicts the strips beside the face, and learns their brightness.
+    Predicts the strips beside the face.
 
     Parameters
     ----------
@@ -67,10 +59,7 @@ class BoxSides:
         self._all_m = np.vstack([front, front + (0.0, 0.0, height_m)])
         self._pose: FacePose | None = None
         self._step = np.zeros(6)  # from picture to picture
-        self._level = np.full(4, FIRST_LEVEL)  # over that of the face
-        self._variance = np.full(4, FIRST_SIGMA ** 2)
-        self._inside: float | None = None
-        self._outside = np.zeros(4)
+        self.levels = SideLevels()
 
     def strips(self, corners: np.ndarray) -> tuple[Strips, Prior] | tuple[None, None]:
         """
@@ -83,7 +72,7 @@ class BoxSides:
             is known.
 
         """
-        if self._inside is None:
+        if not self.levels.known:
             return None, None
         outline = self.outline(corners)
         if isinstance(outline, Rejected):
@@ -92,11 +81,7 @@ class BoxSides:
         width, rows = _at_corners(outline)
         shows = outline.width.max(axis=1) > NARROWEST_PX
         width = np.where(shows[:, None], width, outline.width)
-        contrast = self._inside - self._outside
-        contrast = np.where(np.abs(contrast) < 1.0, 1.0, contrast)
-        level = (self._level * self._inside - self._outside) / contrast
-        sigma = np.sqrt(self._variance) * self._inside / np.abs(contrast)
-        strips = Strips(width, rows, np.minimum(np.maximum(level, -1.0), 2.0), sigma,
+        strips = Strips(width, rows, *self.levels.relative(),
                         self._spans(outline, corners, shows))
         return strips, outline.rigid
 
@@ -139,44 +124,6 @@ class BoxSides:
         usable = high - low > 0.2
         spans[usable] = np.column_stack([low, high])[usable]
         return spans
-
-    def learn(self, edges: Edges, weight: np.ndarray, strips: Strips | None, half: int) -> None:
-        """Take in the grey levels that a good fit has found."""
-        good = weight > 0.1
-        if not good.any():
-            return
-        inside = self._inside = middle((edges.outside + edges.contrast)[good])
-        self._variance = np.minimum(self._variance + DRIFT_SIGMA ** 2, FIRST_SIGMA ** 2)
-        for side in range(4):
-            own = good & (edges.side == side)
-            if own.any():
-                self._learn_side(side, edges, own, strips, half, max(inside, 1.0))
-
-    def _learn_side(self, side: int, edges: Edges, own: np.ndarray, strips: Strips | None,
-                    half: int, inside: float) -> None:
-        outside = middle(edges.outside[own])
-        width = 0.0 if strips is None else float(strips.width[side].mean())
-        if width > half + CLEAR_PX:
-            self._update(side, outside / inside, SURFACE_SIGMA ** 2)
-            return
-        self._outside[side] = outside
-        if edges.second is None:
-            return
-        second = edges.second
-        mine = own[second.segment] & (edges.side[second.segment] == side)
-        information = second.level_own[mine].sum()
-        if information > 1e-6 and width > LEARN_PX:
-            level = self._level[side] + second.level_pull[mine].sum() / information / inside
-            # A wrong width spreads the strip's light, a wrong edge mixes in the face's.
-            spread = WIDTH_SIGMA_PX * (level - outside / inside) / width
-            mixed = EDGE_SIGMA_PX * (1.0 - level) / width
-            noise = middle(edges.residual) / information / inside ** 2
-            self._update(side, level, noise + spread ** 2 + mixed ** 2 + SURFACE_SIGMA ** 2)
-
-    def _update(self, side: int, level: float, variance: float) -> None:
-        gain = self._variance[side] / (self._variance[side] + variance)
-        self._level[side] += gain * (min(max(level, 0.0), 2.0) - self._level[side])
-        self._variance[side] *= 1.0 - gain
 
 
 def _beside(corners: np.ndarray, back: np.ndarray, lag: np.ndarray,

@@ -27,6 +27,7 @@ from homography_servo.tracking.profile import EdgeProfile
 from homography_servo.tracking.scan import Geometry
 from homography_servo.tracking.scan import Scan
 from homography_servo.tracking.scan import side_geometry
+from homography_servo.tracking.strips import Back
 from homography_servo.tracking.strips import Strips
 import numpy as np
 
@@ -108,10 +109,8 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
     place = profile.places(first, step, len(scan.grey))
     edge = profile.share_and_slope(place)
     _cut_corners(scan, geometry, profile, first, step, edge)
-    share, slope = edge = edge[:, :, :layout.count]
-    back = None
-    if strips is not None:
-        back = strips.mix_in(scan, profile, place, scale, share, slope)
+    edge = edge[:, :, :layout.count]
+    back = None if strips is None else strips.mix_in(scan, profile, place, scale, edge)
     sums = _sums(scan, edge)
     levels = fit_levels(sums, scan, step, known, memory)
     contrast, residual, known = levels.contrast, levels.residual, levels.known
@@ -126,8 +125,7 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
     side = layout.segment_side
     second = None
     if back is not None:
-        second = _second(scan, back, share, slope, levels.outside, contrast,
-                         residual / levels.kept)
+        second = _second(scan, back, edge, levels.outside, contrast, residual / levels.kept)
         if scale is not None:
             second = second.in_plane(scale.take(layout.first_line.take(second.segment)))
     return Edges(side, sums.slope_along / np.maximum(sums.slope_slope, 1e-9),
@@ -230,20 +228,19 @@ def _straightened(step: np.ndarray, sigma_px: float) -> np.ndarray:
     return step * (1.0 + q * (1.0 / 12.0 + q * (7.0 / 480.0 + q * (127.0 / 40320.0))))
 
 
-def _second(scan: Scan, back, share: np.ndarray, slope: np.ndarray, outside: np.ndarray,
+def _second(scan: Scan, back: Back, edge: np.ndarray, outside: np.ndarray,
             contrast: np.ndarray, noise: np.ndarray) -> SecondEdge:
     """Form the normal equations of the strips' widths and levels."""
-    lines, grey = back.lines, scan.grey[:, back.lines]
-    share, slope = share[:, lines], slope[:, lines]
-    table = np.empty((9, len(lines)))
-    for row, (a, b) in enumerate(((back.slope, slope), (back.slope, back.slope),
-                                  (back.slope, grey), (back.slope, share),
-                                  (back.strip, grey), (back.strip, share),
-                                  (back.strip, back.strip))):
-        table[row] = np.einsum('ij,ij->j', a, b)
-    table[7], table[8] = back.slope.sum(axis=0), back.strip.sum(axis=0)
-    mixed, own, slope_grey, slope_share, strip_grey, strip_share, strip2, slope_one, strip_one = \
-        np.add.reduceat(table, back.first_line, axis=1)
+    lines = back.lines
+    edge, grey = edge.take(lines, axis=2), scan.grey.take(lines, axis=1)
+    pixels, count = grey.shape
+    table = np.empty((10, count), np.float32)
+    np.matmul(_ones(pixels), back.parts, out=table[:2, None])
+    np.einsum('akn,kn->an', back.parts, grey, out=table[2:4])
+    np.einsum('akn,bkn->abn', back.parts, edge, out=table[4:8].reshape(2, 2, count))
+    np.einsum('akn,akn->an', back.parts, back.parts, out=table[8:])
+    (slope_one, strip_one, slope_grey, strip_grey, slope_share, mixed, strip_share, _, own,
+     strip2) = np.add.reduceat(table, back.first_line, axis=1, dtype=float)
     segment = back.segment
     low, high, noise = outside[segment], contrast[segment], noise[segment]
     gain = high * high / noise

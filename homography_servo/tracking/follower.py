@@ -196,7 +196,7 @@ class Follower:
         rounds = 1 if self._box is None else 3
         for look in (*[self._sharp] * rounds, self._fine):
             if self._box is not None:
-                self._box.learn(fit.edges, fit.weight, fit.strips, self.settings.edge_half_px)
+                self._box.levels.learn(fit.edges, fit.weight, fit.strips, self.settings.edge_half_px)
             again = look(image, shape_prior(fit.corners, GIVEN_SHAPE_SIGMA_PX))
             if isinstance(again, Rejected):
                 return again
@@ -211,7 +211,7 @@ class Follower:
         self._accepted += 1
         good = fit.weight > INLIER_WEIGHT
         if self._box is not None:
-            self._box.learn(fit.edges, fit.weight, fit.strips, self.settings.edge_half_px)
+            self._box.levels.learn(fit.edges, fit.weight, fit.strips, self.settings.edge_half_px)
         if self._accepted % REMEMBER_EVERY == 1:
             self._locator.remember(image, self._plane.to_image(fit.corners))
         if not self._texture.known and self._accepted % KEY_EVERY == 1:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 import math
 
+import cv2
 from homography_servo.result import required
 from homography_servo.tracking.polygon_fit import Prior
 import numpy as np
@@ -107,8 +108,8 @@ def both(first: Prior, second: Prior) -> Prior:
     information = first.information + second.information
     pull = first.information @ first.corners.ravel() \
         + second.information @ second.corners.ravel()
-    return Prior(np.linalg.solve(information, pull).reshape(first.corners.shape), information,
-                 first.free)
+    _, corners = cv2.solve(information, pull[:, None], flags=cv2.DECOMP_CHOLESKY)
+    return Prior(corners.reshape(first.corners.shape), information, first.free)
 
 
 def similarity_basis(corners: np.ndarray) -> np.ndarray:

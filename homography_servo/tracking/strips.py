@@ -24,8 +24,7 @@ class Back(NamedTuple):
     lines: np.ndarray  # (q,) of the scan
     first_line: np.ndarray  # (r,) first of each segment, counted in `lines`
     segment: np.ndarray  # (r,)
-    slope: np.ndarray  # (k, q) change of the pixel with the width, over the contrast
-    strip: np.ndarray  # (k, q) share of the strip in the pixel
+    parts: np.ndarray  # (2, k, q) change with the width over the contrast; share of the strip
 
 
 class Strips(NamedTuple):
@@ -58,7 +57,7 @@ class Strips(NamedTuple):
         return segments.take(side) * (width * self.level_sigma.take(side)) ** 2
 
     def mix_in(self, scan: Scan, profile: EdgeProfile, place: np.ndarray,
-               scale: np.ndarray | None, share: np.ndarray, slope: np.ndarray) -> Back | None:
+               scale: np.ndarray | None, edge: np.ndarray) -> Back | None:
         """
         Turn the profile of one edge into that of two where there is a narrow strip.
 
@@ -72,20 +71,20 @@ class Strips(NamedTuple):
             Places of the pixels in the tables.
         scale : (n or more,) array or None
             Image pixels per unit of the plane on each line.
-        share, slope : (k, n) array
-            Of the face's edge; changed in place.
+        edge : (2, k, n) array
+            Share and slope of the face's edge; changed in place.
 
         Returns
         -------
         Back or None
 
         """
-        layout, total = scan.layout, share.shape[1]
+        layout, total = scan.layout, scan.layout.count
         width = self.width_at(layout.side[:total], scan.along)
         if scale is not None:
             width = width * scale[:total]
         middle = width.take(layout.first_line + layout.lines // 2)
-        chosen = (middle > NARROWEST_PX) & (middle < len(share) // 2 - 1.0)
+        chosen = (middle > NARROWEST_PX) & (middle < len(scan.grey) // 2 - 1.0)
         if not chosen.any():
             return None
         lines = np.flatnonzero(np.repeat(chosen, layout.lines))
@@ -93,10 +92,12 @@ class Strips(NamedTuple):
         shift = np.rint(width.take(lines) * STEPS_PER_PX).astype(np.intp)
         behind = place.take(lines, axis=1) + shift
         level = self.level.take(layout.side.take(lines)).astype(np.float32)
-        own = share.take(lines, axis=1)
-        strip = profile.share(behind) - own
-        back_slope = level * profile.slope(behind)
-        share[:, lines] = own + level * strip
-        slope[:, lines] = (1.0 - level) * slope.take(lines, axis=1) + back_slope
-        return Back(lines, np.cumsum(counted) - counted, np.flatnonzero(chosen), back_slope,
-                    strip)
+        own, slope = edge.take(lines, axis=2)
+        parts = profile.share_and_slope(behind)[::-1]
+        parts[1] -= own
+        parts[0] *= level
+        own += level * parts[1]
+        slope *= np.float32(1.0) - level
+        slope += parts[0]
+        edge[0][:, lines], edge[1][:, lines] = own, slope
+        return Back(lines, np.cumsum(counted) - counted, np.flatnonzero(chosen), parts)
