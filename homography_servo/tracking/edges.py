@@ -32,7 +32,7 @@ from homography_servo.tracking.strips import Strips
 import numpy as np
 
 SQUARE = 0.08  # cosine of a corner that may be taken for a right angle
-SMALL_PX = 0.005  # a doubtful offset that no level can lengthen by much
+SMALL_PX = 0.01  # a doubtful offset that no level can lengthen by much
 LINEAR_SHARE = 0.85  # of the largest offset that the linear step can show
 
 
@@ -112,7 +112,7 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
     edge = edge[:, :, :layout.count]
     back = None if strips is None else strips.mix_in(scan, profile, place, scale, edge)
     sums = _sums(scan, edge)
-    levels = fit_levels(sums, scan, step, known, memory)
+    levels = fit_levels(sums, scan, known, memory)
     contrast, residual, known = levels.contrast, levels.residual, levels.known
     response = sums.slope_grey - levels.outside * sums.slope - contrast * sums.slope_share
     precision = contrast * contrast * sums.slope_slope * levels.kept + 1e-9
@@ -146,9 +146,9 @@ def line_distances(scan: Scan, geometry: Geometry
     first -= geometry.level.take(side)
     step = np.add.reduce(normal * scan.step, axis=0)
     if not scan.bent:
-        return first, step, None
+        return first.astype(np.float32), step.astype(np.float32), None
     scale = 1.0 / np.sqrt(np.add.reduce(scan.step * scan.step, axis=0))
-    return first * scale, step * scale, scale
+    return (first * scale).astype(np.float32), (step * scale).astype(np.float32), scale
 
 
 def _cut_corners(scan: Scan, geometry: Geometry, profile: EdgeProfile, first: np.ndarray,
@@ -166,16 +166,22 @@ def _cut_corners(scan: Scan, geometry: Geometry, profile: EdgeProfile, first: np
     if np.abs(skew).max(initial=0.0) < SQUARE:
         edge[:, :, near] = own * cut_share
         return
-    share, slope = own
-    count = np.arange(len(share), dtype=np.float32)[:, None]
-    away = first.take(near).astype(np.float32) + count * step.take(near).astype(np.float32)
-    beyond = first[total:].astype(np.float32) + count * step[total:].astype(np.float32)
+    count = np.arange(len(scan.grey), dtype=np.float32)[:, None]
+    away = first.take(near) + count * step.take(near)
+    beyond = first[total:] + count * step[total:]
     variance = np.float32(profile.sigma_px ** 2)
     twist = skew * cut_slope
-    half = (np.float32(0.5) * skew) * twist * beyond
+    half = beyond
+    half *= twist
+    half *= np.float32(0.5) * skew
+    share, slope = own
     share *= cut_share
     share += slope * (half * away - variance * twist)
-    slope *= cut_share + twist * away - half * (away * away / variance - np.float32(1.0))
+    half *= away * away / variance - np.float32(1.0)
+    twist *= away
+    twist += cut_share
+    twist -= half
+    slope *= twist
     edge[:, :, near] = own
 
 

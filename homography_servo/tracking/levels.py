@@ -86,7 +86,7 @@ class LevelMemory(NamedTuple):
         return self.variance / (self.variance + STEADY_GREY ** 2)
 
 
-def fit_levels(sums: Sums, scan: Scan, step: np.ndarray, known: Known | None,
+def fit_levels(sums: Sums, scan: Scan, known: Known | None,
                memory: LevelMemory | None) -> Levels:
     """
     Fit the grey levels of each segment.
@@ -97,8 +97,6 @@ def fit_levels(sums: Sums, scan: Scan, step: np.ndarray, known: Known | None,
         Of the pixels across the edge.
     scan : Scan
         Has the pixels further away.
-    step : (n,) array
-        How far each line advances inwards per pixel.
     known : Known or None
         What an earlier step in the same picture found out.
     memory : LevelMemory or None
@@ -115,24 +113,21 @@ def fit_levels(sums: Sums, scan: Scan, step: np.ndarray, known: Known | None,
     missed = scan.grey_square - outside * sums.grey - contrast * sums.share_grey
     residual = np.maximum(missed, 0.01) / (sums.one - 2.0)
     if known is None:
-        known = _learn(np.array((outside, outside + contrast)), scan, step, middle(residual),
-                       memory)
+        known = _learn(np.array((outside, outside + contrast)), scan, middle(residual), memory)
     sums = with_pixels(sums, known.pixels, known.grey)
     inverse = 1.0 / _determinant(sums)
     return Levels(*_two_levels(sums, inverse), _kept(sums, inverse), residual, known)
 
 
-def _learn(levels: np.ndarray, scan: Scan, step: np.ndarray, noise: float,
+def _learn(levels: np.ndarray, scan: Scan, noise: float,
            memory: LevelMemory | None) -> Known:
     """Let far pixels and other segments pin the levels down as far as they are alike."""
     lines, common = scan.layout.lines, middles(levels)
-    rising = step.take(scan.layout.first_line) > 0.0
     table, away = np.empty((4, len(lines))), np.empty((4, len(lines)))
-    far = table[:2]
-    far[0], far[1] = scan.low_sum, scan.high_sum
-    np.divide(np.where(rising, far, far[::-1]), FAR_READ * lines, out=far)
-    np.abs(far - levels, out=away[:2])
-    np.abs(common - levels, out=away[2:])
+    table[:2] = scan.far
+    np.subtract(scan.far, levels, out=away[:2])
+    np.subtract(common, levels, out=away[2:])
+    np.abs(away, out=away)
     spread, believed, doubt = MEDIAN_TO_SIGMA * middles(away), common, 1.0
     if memory is not None:
         gain = memory.gain

@@ -46,6 +46,7 @@ class Layout(NamedTuple):
     first_line: np.ndarray  # (s,) of each segment
     lines: np.ndarray  # (s,) in each segment
     segment_side: np.ndarray  # (s,)
+    rising: np.ndarray  # (s,) whether lines run towards the inside
 
     @property
     def count(self) -> int:
@@ -133,11 +134,13 @@ def layout_of(sides: tuple[Side, ...], per_segment: int) -> Layout:
         first = after
     own = np.repeat(np.arange(count), [side.lines for side in sides])
     steep = np.array([side.steep for side in sides])
-    return _cut(own, steep, np.array(near, np.intp), np.array(across, np.intp), per_segment)
+    rising = np.array([side.steep != side.ahead for side in sides])
+    return _cut(own, steep, rising, np.array(near, np.intp), np.array(across, np.intp),
+                per_segment)
 
 
-def _cut(own: np.ndarray, steep: np.ndarray, near: np.ndarray, across: np.ndarray,
-         per_segment: int) -> Layout:
+def _cut(own: np.ndarray, steep: np.ndarray, rising: np.ndarray, near: np.ndarray,
+         across: np.ndarray, per_segment: int) -> Layout:
     """Cut the lines of each side into segments of about the same length."""
     first_line, segment_side = [], []
     for side in range(len(steep)):
@@ -150,7 +153,7 @@ def _cut(own: np.ndarray, steep: np.ndarray, near: np.ndarray, across: np.ndarra
     step = np.array((steep[both], ~steep[both]), float)
     return Layout(both, np.concatenate((own, across)), number.astype(float), steep[both], step,
                   near, np.array(first_line), np.diff([*first_line, len(own)]),
-                  np.array(segment_side))
+                  np.array(segment_side), rising.take(segment_side))
 
 
 def lines_within(lines: Lines, corner_count: int, half: int, shape: tuple[int, ...],
@@ -162,8 +165,8 @@ def lines_within(lines: Lines, corner_count: int, half: int, shape: tuple[int, .
     limit = np.array([[shape[1]], [shape[0]]])
     keep = ((low >= 0.0) & (high < limit)).all(axis=0)
     own, near = keep[:total], keep[total:]
-    steep = np.zeros(corner_count, bool)
-    steep[layout.own] = layout.steep
-    kept = _cut(layout.own[:total][own], steep, (np.cumsum(own) - 1)[layout.near[near]],
+    steep, rising = np.zeros((2, corner_count), bool)
+    steep[layout.own], rising[layout.segment_side] = layout.steep, layout.rising
+    kept = _cut(layout.own[:total][own], steep, rising, (np.cumsum(own) - 1)[layout.near[near]],
                 layout.side[total:][near], per_segment)
     return Lines(kept, lines.start[:, keep], lines.along[own])

@@ -41,7 +41,7 @@ class EdgeProfile:
 
         Parameters
         ----------
-        first_px, step_px : (n,) array
+        first_px, step_px : (n,) float32 array
             Distance of the first pixel of each line, positive inside, and its change
             from pixel to pixel [px].
         count : int
@@ -52,8 +52,8 @@ class EdgeProfile:
         (count, n) integer array
 
         """
-        place = np.multiply.outer(_counted(count), (STEPS_PER_PX * step_px).astype(np.float32))
-        place += (STEPS_PER_PX * first_px + (REACH_PX * STEPS_PER_PX + 0.5)).astype(np.float32)
+        place = np.multiply.outer(_counted(count), np.float32(STEPS_PER_PX) * step_px)
+        place += np.float32(STEPS_PER_PX) * (first_px + np.float32(REACH_PX + 0.5 / STEPS_PER_PX))
         return place.astype(np.intp)
 
     def share_and_slope(self, place: np.ndarray) -> np.ndarray:

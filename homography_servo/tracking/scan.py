@@ -44,8 +44,7 @@ class Scan(NamedTuple):
     """
 
     grey: np.ndarray  # (k, n) float32 grey levels
-    low_sum: np.ndarray  # (s,) sum of the FAR_READ pixels before the first of each line
-    high_sum: np.ndarray  # (s,) and after the last
+    far: np.ndarray  # (2, s) mean of pixels further away, outside and inside
     grey_sum: np.ndarray  # (s,) sum of the grey levels of each segment
     grey_square: np.ndarray  # (s,) and of their squares
     start: np.ndarray  # (2, n + c) first pixel
@@ -152,9 +151,10 @@ def _gather(image: np.ndarray, plane: Plane, half: int, lines: Lines) -> Scan:
     np.matmul(parts, grey, out=table[:3])
     np.einsum('ij,ij->j', close, close, out=table[3])
     sums = np.add.reduceat(table, layout.first_line, axis=1, dtype=float)
+    far = np.where(layout.rising, sums[:2], sums[1::-1]) / (FAR_READ * layout.lines)
     start, advance = _in_plane(plane, first, step, half) if plane.bent \
         else (lines.start, layout.step)
-    return Scan(close, *sums, start, advance, lines.along, layout, plane.bent)
+    return Scan(close, far, *sums[2:], start, advance, lines.along, layout, plane.bent)
 
 
 def _in_plane(plane: Plane, first: np.ndarray, step: np.ndarray,
