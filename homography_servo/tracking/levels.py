@@ -42,9 +42,8 @@ class Sums(NamedTuple):
 class Known(NamedTuple):
     """Grey levels from other pixels than those across the edge, outside and inside."""
 
-    pixels: np.ndarray  # (2, s) how many they count for
-    grey: np.ndarray  # (2, s) sum of their grey levels
-    far: np.ndarray  # (4, s) the same of far pixels alone
+    pixels: np.ndarray  # (4, s) how many they count for: two rows of far, two of common levels
+    grey: np.ndarray  # (4, s) sum of their grey levels
     common: np.ndarray  # (2, 1) level that most segments share in this picture
     spread: np.ndarray  # (4, 1) of far and of common levels about the segments' own
     doubt: float  # how far the common level could give in to an offset of all sides, 0 to 1
@@ -114,7 +113,8 @@ def fit_levels(sums: Sums, scan: Scan, known: Known | None,
     residual = np.maximum(missed, 0.01) / (sums.one - 2.0)
     if known is None:
         known = _learn(np.array((outside, outside + contrast)), scan, middle(residual), memory)
-    sums = with_pixels(sums, known.pixels, known.grey)
+    sums = with_pixels(sums, known.pixels[:2] + known.pixels[2:],
+                       known.grey[:2] + known.grey[2:])
     inverse = 1.0 / _determinant(sums)
     return Levels(*_two_levels(sums, inverse), _kept(sums, inverse), residual, known)
 
@@ -136,9 +136,7 @@ def _learn(levels: np.ndarray, scan: Scan, noise: float,
     counted, limit = _pixels(spread, noise, float(lines[len(lines) // 2]), len(scan.grey))
     table[2:] = believed
     pixels = (away < limit) * counted  # others have a level of their own
-    grey = table * pixels
-    return Known(pixels[:2] + pixels[2:], grey[:2] + grey[2:],
-                 np.concatenate((pixels[:2], grey[:2])), common, spread, doubt)
+    return Known(pixels, table * pixels, common, spread, doubt)
 
 
 def _pixels(spread: np.ndarray, noise: float, lines: float,
@@ -175,7 +173,7 @@ def _pixels(spread: np.ndarray, noise: float, lines: float,
 
 def kept_alone(sums: Sums, known: Known) -> np.ndarray:
     """Give the share of the offset's information that is kept without other segments (s,)."""
-    sums = with_pixels(sums, known.far[:2], known.far[2:])
+    sums = with_pixels(sums, known.pixels[:2], known.grey[:2])
     return _kept(sums, 1.0 / _determinant(sums))
 
 

@@ -129,6 +129,8 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
             return Rejected('the edges do not determine the corners')
         shift = covariance @ target
         miss = inward - shift @ rows
+        if float(np.maximum.reduce(np.abs(miss))) < look.sure_px:
+            break  # weights would hardly change
     return SnakeFit(corners + shift.reshape(corners.shape), covariance, edges, weight, miss,
                     shift, float(np.maximum.reduce(np.abs(shift))))
 

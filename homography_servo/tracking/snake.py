@@ -8,7 +8,7 @@ from homography_servo.result import Rejected
 from homography_servo.tracking.edges import Edges
 from homography_servo.tracking.edges import measure_edges
 from homography_servo.tracking.levels import LevelMemory
-from homography_servo.tracking.levels import middle
+from homography_servo.tracking.levels import middles
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import fit_polygon
 from homography_servo.tracking.polygon_fit import Look
@@ -102,13 +102,16 @@ def quality_of(fit: SnakeFit) -> Quality:
     inlier = fit.weight > INLIER_WEIGHT
     total = np.maximum(np.bincount(edges.side, edges.pixels, count), 1.0)
     supported = np.bincount(edges.side, edges.pixels * inlier, count)
-    noise, chosen = math.sqrt(noise_of(edges.residual, edges.pixels)), inlier.nonzero()[0]
-    if not len(chosen):
-        return Quality(0.0, supported / total, 0.0, np.inf, noise, 0.0)
-    contrast, miss = edges.contrast.take(chosen), fit.miss.take(chosen)
-    return Quality(float(np.add.reduce(supported) / np.add.reduce(total)), supported / total,
-                   middle(contrast), math.sqrt(float(miss @ miss) / len(miss)), noise,
-                   middle(edges.outside.take(chosen) + contrast))
+    noise, share = math.sqrt(noise_of(edges.residual, edges.pixels)), supported / total
+    levels = np.array((edges.contrast, edges.outside + edges.contrast, fit.miss))
+    if np.count_nonzero(inlier) < len(inlier):
+        levels = levels[:, inlier]
+    if not levels.size:
+        return Quality(0.0, share, 0.0, np.inf, noise, 0.0)
+    (contrast,), (inside,) = middles(levels[:2]).tolist()
+    miss = levels[2]
+    return Quality(sum(supported.tolist()) / sum(total.tolist()), share, contrast,
+                   math.sqrt(float(miss @ miss) / len(miss)), noise, inside)
 
 
 def sound(corners: np.ndarray) -> bool:
