@@ -44,8 +44,8 @@ class Known(NamedTuple):
 
     pixels: np.ndarray  # (4, s) how many they count for: two rows of far, two of common levels
     grey: np.ndarray  # (4, s) sum of their grey levels
-    common: np.ndarray  # (2, 1) level that most segments share in this picture
-    spread: np.ndarray  # (4, 1) of far and of common levels about the segments' own
+    common: list[float]  # two levels that most segments share in this picture
+    spread: list[float]  # four, of far and of common levels about the segments' own
     doubt: float  # how far the common level could give in to an offset of all sides, 0 to 1
 
 
@@ -62,27 +62,27 @@ class Levels(NamedTuple):
 class LevelMemory(NamedTuple):
     """What most segments had in earlier pictures, outside and inside."""
 
-    level: np.ndarray  # (2, 1) common grey level
-    variance: np.ndarray  # (2, 1) of one picture's level about it
-    spread: np.ndarray  # (4, 1) of far and common levels about the segments' own
+    level: list[float]  # two common grey levels
+    variance: list[float]  # of one picture's level about them
+    spread: list[float]  # four, of far and common levels about the segments' own
 
     @staticmethod
     def first(known: Known) -> LevelMemory:
         """Begin with one picture."""
-        return LevelMemory(known.common, np.full_like(known.common, FIRST_SPREAD_GREY ** 2),
-                           known.spread)
+        return LevelMemory(known.common, [FIRST_SPREAD_GREY ** 2] * 2, known.spread)
 
     def updated(self, known: Known) -> LevelMemory:
         """Take in another picture."""
-        away = known.common - self.level
-        return LevelMemory(self.level + MEMORY_GAIN * away,
-                           self.variance + MEMORY_GAIN * (away * away - self.variance),
-                           self.spread + MEMORY_GAIN * (known.spread - self.spread))
+        away = [new - old for new, old in zip(known.common, self.level)]
+        return LevelMemory(
+            [old + MEMORY_GAIN * change for old, change in zip(self.level, away)],
+            [old + MEMORY_GAIN * (change * change - old)
+             for old, change in zip(self.variance, away)],
+            [old + MEMORY_GAIN * (new - old) for old, new in zip(self.spread, known.spread)])
 
-    @property
-    def gain(self) -> np.ndarray:
-        """Say how much of a new level to believe, 0 to 1 (2, 1)."""
-        return self.variance / (self.variance + STEADY_GREY ** 2)
+    def gain(self) -> list[float]:
+        """Say how much of a new level to believe, 0 to 1, outside and inside."""
+        return [variance / (variance + STEADY_GREY ** 2) for variance in self.variance]
 
 
 def fit_levels(sums: Sums, scan: Scan, known: Known | None,
@@ -128,25 +128,29 @@ def _learn(levels: np.ndarray, scan: Scan, noise: float,
     np.subtract(scan.far, levels, out=away[:2])
     np.subtract(common, levels, out=away[2:])
     np.abs(away, out=away)
-    spread, believed, doubt = MEDIAN_TO_SIGMA * middles(away), common, 1.0
+    spread = [MEDIAN_TO_SIGMA * value for (value,) in middles(away).tolist()]
+    own = believed = [value for (value,) in common.tolist()]
+    doubt = 1.0
     if memory is not None:
-        gain = memory.gain
-        believed, doubt = memory.level + gain * (common - memory.level), float(gain.max())
-        spread += MEMORY_OF_SPREAD * (memory.spread - spread)
+        gain = memory.gain()
+        doubt = max(gain)
+        believed = [old + share * (new - old)
+                    for old, share, new in zip(memory.level, gain, own)]
+        spread = [new + MEMORY_OF_SPREAD * (old - new)
+                  for old, new in zip(memory.spread, spread)]
     counted, limit = _pixels(spread, noise, float(lines[len(lines) // 2]), len(scan.grey))
-    table[2:] = believed
+    table[2], table[3] = believed
     pixels = (away < limit) * counted  # others have a level of their own
-    return Known(pixels, table * pixels, common, spread, doubt)
+    return Known(pixels, table * pixels, own, spread, doubt)
 
 
-def _pixels(spread: np.ndarray, noise: float, lines: float,
-            across: int) -> tuple[np.ndarray, np.ndarray]:
+def _pixels(spread: list[float], noise: float, lines: float, across: int) -> np.ndarray:
     """
     Say how many pixels other levels stand for, and how far from a segment's own they may be.
 
     Parameters
     ----------
-    spread : (4, 1) array
+    spread : list of float
         Of far levels outside and inside, and of common ones.
     noise : float
         Variance of a pixel.
@@ -155,20 +159,21 @@ def _pixels(spread: np.ndarray, noise: float, lines: float,
 
     Returns
     -------
-    (4, 1) array, (4, 1) array
+    (2, 4, 1) array
+        Pixels; limits.
 
     """
     of_far, of_own = noise / (FAR_READ * lines), noise / (0.5 * lines * across)
     counted, limit = [], []
-    for seen in spread[:2, 0].tolist():
+    for seen in spread[:2]:
         uneven = max(seen * seen - of_far - of_own, 0.0)
-        counted.append([noise / (of_far + uneven)])
-        limit.append([FAR_SIGMAS * (of_far + of_own + uneven) ** 0.5])
-    for seen in spread[2:, 0].tolist():
+        counted.append(noise / (of_far + uneven))
+        limit.append(FAR_SIGMAS * (of_far + of_own + uneven) ** 0.5)
+    for seen in spread[2:]:
         scatter = max(seen * seen - of_own, 1e-3 * noise)
-        counted.append([min(noise / scatter, MOST_POOLED)])
-        limit.append([FAR_SIGMAS * seen + FLAT_GREY])
-    return np.array(counted), np.array(limit)
+        counted.append(min(noise / scatter, MOST_POOLED))
+        limit.append(FAR_SIGMAS * seen + FLAT_GREY)
+    return np.array((counted, limit))[:, :, None]
 
 
 def kept_alone(sums: Sums, known: Known) -> np.ndarray:

@@ -77,13 +77,11 @@ def place_lines(shown: np.ndarray, sag: np.ndarray | None, half: int, stride: in
         first += side.lines
     layout = layout_of(tuple(sides), per_segment)
     table = np.array(rows).T.take(layout.own, axis=1)
-    main, along, cross = table[:3]
     table[:3] += table[3:6] * layout.number
+    along = table[2]
     if sag is not None:
-        cross += table[6] * along * (1.0 - along)
-    across = np.rint(cross) - half
-    start = np.array((main, across))
-    np.copyto(start, start[::-1].copy(), where=layout.steep)
+        table[:2] += table[6:] * (along * (1.0 - along))
+    start = np.rint(table[:2])
     return Lines(layout, start, along[:layout.count])
 
 
@@ -95,9 +93,9 @@ def _side_lines(start: list[float], end: list[float], bend: list[float], span: l
     Returns
     -------
     tuple of float, Side
-        Of line 0, which comes `before` lines before the first of this side: its column
-        or row, its place on the side, the place across; the steps of these three from
-        line to line; four times the bend across.
+        Of line 0, which comes `before` lines before the first of this side: u and v of
+        its first pixel and its place on the side; the steps of these three from line to
+        line; four times the bend in u and v.
 
     """
     steep = abs(end[1] - start[1]) > abs(end[0] - start[0])
@@ -113,8 +111,12 @@ def _side_lines(start: list[float], end: list[float], bend: list[float], span: l
     lines = max(math.floor(max(one, other) + reach) - low, -stride) // stride + 1
     rounded = ROUND_LINES * round(lines / ROUND_LINES)
     low -= stride * ((rounded - lines) // 2 + before)
-    row = (low, (low - main) / run, cross + slope * (low - main), stride, stride / run,
-           stride * slope, 4.0 * bend[not steep])
+    across, bow = cross + slope * (low - main) - half, 4.0 * bend[not steep]
+    along, along_step = (low - main) / run, stride / run
+    if steep:
+        row = (across, low, along, stride * slope, stride, along_step, bow, 0.0)
+    else:
+        row = (low, across, along, stride, stride * slope, along_step, 0.0, bow)
     ends = min(2 * (int((near + reach) / stride) // 2 + 1), rounded // 2)
     return row, Side(rounded, ends, steep, run > 0.0)
 

@@ -106,9 +106,9 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
 
     """
     rows, inward = polygon_rows(edges, len(corners)), edges.inward
-    beyond = np.full_like(inward, MODEL_ERROR_PX ** 2)
+    beyond: float | np.ndarray = MODEL_ERROR_PX ** 2
     if edges.second is not None and strips is not None:
-        beyond += strips.doubt(edges.side, edges.along)
+        beyond = beyond + strips.doubt(edges.side, edges.along)
     held, pull = _held(prior, corners)
     miss = inward
     if first and look.first_sure_px > NARROW_PX:  # the mean of a side would follow outliers
@@ -147,7 +147,7 @@ def _variance(edges: Edges, miss: np.ndarray) -> np.ndarray:
     explained = (edges.inward * edges.inward - miss * miss) / (edges.variance * pixels)
     left = edges.residual * np.maximum(1.0 - explained, 0.1)
     noise = noise_of(left, pixels)
-    usual = noise + noise * ODD_SIGMAS * np.sqrt(2.0 / pixels)
+    usual = noise * (1.0 + ODD_SIGMAS * math.sqrt(2.0 / float(pixels[len(pixels) // 2])))
     counted = np.maximum(left, noise) + pixels * np.maximum(left - usual, 0.0)
     return counted * (edges.variance / edges.residual)
 

@@ -122,8 +122,9 @@ def _as_shown(corners: np.ndarray,
 
 def _outside(shown: np.ndarray, shape: tuple[int, ...]) -> float:
     """Tell how far a polygon reaches out of the image [px]; negative where it stays inside."""
-    (left, top), (right, bottom) = shown.min(axis=0).tolist(), shown.max(axis=0).tolist()
-    if not math.isfinite(left + top + right + bottom):
+    across, down = shown.T.tolist()
+    left, top, right, bottom = min(across), min(down), max(across), max(down)
+    if not math.isfinite(sum(across) + sum(down)):
         return math.inf
     return max(-left, -top, right - shape[1] + 1.0, bottom - shape[0] + 1.0)
 
