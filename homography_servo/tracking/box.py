@@ -22,6 +22,7 @@ import numpy as np
 
 RIGID_SIGMA_PX = 0.3  # of the corners about a view of the face: lens, size, flatness
 CORNER_MARGIN_PX = 2.5  # a corner where a side shows is left out by this
+LEAST_SPAN = 0.2  # of a side, else all of it is used
 UNIT, WHOLE = np.eye(8), np.full((4, 2), (0.0, 1.0))
 ENDS = np.array([[0, 4], [5, 9], [10, 14], [15, 3]])  # (corner, side) of both ends of each side
 
@@ -78,11 +79,8 @@ class BoxSides:
         if isinstance(outline, Rejected):
             return None, None
         self._pose, self._step = outline.pose, outline.step
-        width, rows = _at_corners(outline)
-        shows = outline.width.max(axis=1) > NARROWEST_PX
-        width = np.where(shows[:, None], width, outline.width)
-        strips = Strips(width, rows, *self.levels.relative(),
-                        self._spans(outline, corners, shows))
+        strips = Strips(outline.width, outline.rows, *self.levels.relative(),
+                        _spans(outline, corners))
         return strips, outline.rigid
 
     def outline(self, corners: np.ndarray) -> Outline | Rejected:
@@ -111,19 +109,26 @@ class BoxSides:
         rigid = Prior(corners - miss, (UNIT - front @ pose_from_corners) / RIGID_SIGMA_PX ** 2)
         return Outline(pose, self._step + step, width, reach, rows, rigid)
 
-    def _spans(self, outline: Outline, corners: np.ndarray, shows: np.ndarray) -> np.ndarray:
-        """Leave out corners where a side shows: more than two surfaces meet there."""
-        spans = WHOLE.copy()
-        if not shows.any():
-            return spans
-        margin = CORNER_MARGIN_PX / side_geometry(corners).length
-        before, after = shows.take((3, 0, 1, 2)), shows.take((1, 2, 3, 0))
-        low = np.where(shows, np.maximum(outline.reach[:, 0], 0.0), 0.0)
-        high = np.where(shows, np.minimum(outline.reach[:, 1], 1.0), 1.0)
-        low, high = low + margin * (shows | before), high - margin * (shows | after)
-        usable = high - low > 0.2
-        spans[usable] = np.column_stack([low, high])[usable]
-        return spans
+
+def _spans(outline: Outline, corners: np.ndarray) -> np.ndarray:
+    """
+    Say which part (4, 2) of each side of the face to use, 0 to 1.
+
+    Corners where a side of the box shows are left out: more than two surfaces meet there.
+    """
+    shows = [max(ends) > NARROWEST_PX for ends in outline.width.tolist()]
+    if not any(shows):
+        return WHOLE
+    spans = []
+    lengths = side_geometry(corners).length.tolist()
+    for side, (length, (first, last)) in enumerate(zip(lengths, outline.reach.tolist())):
+        here, margin = shows[side], CORNER_MARGIN_PX / length
+        low = max(first, 0.0) if here else 0.0
+        high = min(last, 1.0) if here else 1.0
+        low += margin * (here or shows[side - 1])
+        high -= margin * (here or shows[side - 3])
+        spans.append((low, high) if high - low > LEAST_SPAN else (0.0, 1.0))
+    return np.array(spans)
 
 
 def _beside(corners: np.ndarray, back: np.ndarray, lag: np.ndarray,
@@ -151,13 +156,3 @@ def _beside(corners: np.ndarray, back: np.ndarray, lag: np.ndarray,
     reach = (behind @ (geometry.edge.T / geometry.length ** 2)).take(ENDS) + (0.0, 1.0)
     drift = (geometry.normal.T @ lag).reshape(16, 6).take(ENDS, axis=0)
     return width, reach, -drift @ pose_from_corners
-
-
-def _at_corners(outline: Outline) -> tuple[np.ndarray, np.ndarray]:
-    """Carry the widths along their straight lines to the corners of the face."""
-    span = outline.reach[:, 1] - outline.reach[:, 0]
-    span = np.where(np.abs(span) < 1e-3, 1e-3, span)
-    share = (np.array([0.0, 1.0]) - outline.reach[:, :1]) / span[:, None]
-    width = outline.width[:, :1] + share * (outline.width[:, 1:] - outline.width[:, :1])
-    rows = outline.rows[:, :1] + share[:, :, None] * (outline.rows[:, 1:] - outline.rows[:, :1])
-    return width, rows

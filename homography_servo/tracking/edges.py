@@ -32,7 +32,7 @@ from homography_servo.tracking.strips import Strips
 import numpy as np
 
 SQUARE = 0.08  # cosine of a corner that may be taken for a right angle
-SMALL_PX = 0.01  # a doubtful offset that no level can lengthen by much
+SMALL_PX = 0.02  # a doubtful offset that levels learnt from each other shorten by little
 LINEAR_SHARE = 0.85  # of the largest offset that the linear step can show
 
 

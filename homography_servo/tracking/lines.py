@@ -17,7 +17,7 @@ import numpy as np
 CORNER_REACH_PX = 1.5  # lines go on for about this much beyond the corners
 CORNER_ZONE_PX = 3.0  # lines this close to a corner see the next side too
 FAR_PX = 8  # pixels beyond either end of a line, for the grey levels only
-ROUND_LINES = 4  # a side has a multiple of so many lines, so that their number rests
+ROUND_LINES = 8  # a side has a multiple of so many lines, so that their number rests
 
 
 class Side(NamedTuple):
@@ -144,18 +144,19 @@ def layout_of(sides: tuple[Side, ...], per_segment: int) -> Layout:
 def _cut(own: np.ndarray, steep: np.ndarray, rising: np.ndarray, near: np.ndarray,
          across: np.ndarray, per_segment: int) -> Layout:
     """Cut the lines of each side into segments of about the same length."""
-    first_line, segment_side = [], []
-    for side in range(len(steep)):
-        first, last = np.searchsorted(own, [side, side + 1]).tolist()
-        cuts = max(1, round((last - first) / per_segment)) if last > first else 0
-        first_line += [first + (last - first) * cut // cuts for cut in range(cuts)]
-        segment_side += [side] * cuts
+    total = np.bincount(own, minlength=len(steep))
+    cuts = np.where(total > 0, np.maximum(np.rint(total / per_segment), 1), 0).astype(np.intp)
+    segment_side = np.repeat(np.arange(len(steep)), cuts)
+    begun = (np.cumsum(cuts) - cuts).take(segment_side)
+    lead, length = (np.cumsum(total) - total).take(segment_side), total.take(segment_side)
+    first_line = lead + (np.arange(len(segment_side)) - begun) * length \
+        // cuts.take(segment_side)
     number = np.concatenate((np.arange(len(own)), near))
     both = np.concatenate((own, own[near]))
     step = np.array((steep[both], ~steep[both]), float)
     return Layout(both, np.concatenate((own, across)), number.astype(float), steep[both], step,
-                  near, np.array(first_line), np.diff([*first_line, len(own)]),
-                  np.array(segment_side), rising.take(segment_side))
+                  near, first_line, np.diff(first_line, append=len(own)), segment_side,
+                  rising.take(segment_side))
 
 
 def lines_within(lines: Lines, corner_count: int, half: int, shape: tuple[int, ...],

@@ -79,12 +79,15 @@ class Strips(NamedTuple):
         Back or None
 
         """
-        layout, total = scan.layout, scan.layout.count
+        layout, total, widest = scan.layout, scan.layout.count, len(scan.grey) // 2 - 1.0
+        if not any(max(ends) > NARROWEST_PX and min(ends) < widest
+                   for ends in self.width.tolist()):
+            return None
         width = self.width_at(layout.side[:total], scan.along)
         if scale is not None:
             width = width * scale[:total]
         middle = width.take(layout.first_line + layout.lines // 2)
-        chosen = (middle > NARROWEST_PX) & (middle < len(scan.grey) // 2 - 1.0)
+        chosen = (middle > NARROWEST_PX) & (middle < widest)
         if not chosen.any():
             return None
         lines = np.flatnonzero(np.repeat(chosen, layout.lines))

@@ -198,11 +198,11 @@ class Tracker:
             return Track(self._state, None, None, None, fit.quality,
                          'found, not yet confirmed')
         self._state = TRACKING
-        contour = self._spline.curve(self._spline.control(fit.corners))
-        self._last_px = self._plane.to_image(fit.corners)
+        contour_px = self._plane.to_image(self._spline.curve(self._spline.control(fit.corners)))
+        self._last_px = self._spline.corners_of_curve(contour_px)
         return Track(TRACKING, self._last_px,
-                     self._plane.covariance_to_image(fit.corners, fit.covariance),
-                     self._plane.to_image(contour), fit.quality, '')
+                     self._plane.covariance_to_image(fit.corners, fit.covariance), contour_px,
+                     fit.quality, '')
 
     def _missing(self, why: Rejected, stamp_s: float) -> Track:
         self._missed += 1
