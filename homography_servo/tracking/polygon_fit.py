@@ -11,6 +11,7 @@ from homography_servo.result import Rejected
 from homography_servo.result import required
 from homography_servo.tracking.edges import Edges
 from homography_servo.tracking.edges import SecondEdge
+from homography_servo.tracking.levels import middle
 from homography_servo.tracking.scan import Scan
 from homography_servo.tracking.strips import Strips
 import numpy as np
@@ -20,7 +21,6 @@ NOISE_FLOOR = 0.3  # mean squared grey level; rounding alone gives 1/12
 ROBUST_SIGMAS = 4.0  # where Tukey's weight ends
 ODD_SIGMAS = 3.0  # a residual this far above its mean is more than noise
 QUIET_SHARE, QUIET_SIGMAS = 0.25, 0.674  # the lower quartile, and how far below the mean it is
-NARROW_PX = 0.6  # scatter up to which outliers show without a vote
 
 
 class Prior(NamedTuple):
@@ -111,7 +111,7 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
         beyond = beyond + strips.doubt(edges.side, edges.along)
     held, pull = _held(prior, corners)
     miss = inward
-    if first and look.first_sure_px > NARROW_PX:  # the mean of a side would follow outliers
+    if first:  # the mean of a side would follow outliers
         miss = inward - _side_middles(inward, edges.side, usable, len(corners))
     for sure_px in (look.first_sure_px, look.sure_px) if first else (look.sure_px,):
         variance = _variance(edges, miss) + beyond
@@ -128,8 +128,8 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
         if not determined:
             return Rejected('the edges do not determine the corners')
         shift = covariance @ target
-        miss = inward - shift @ rows
-        if float(np.maximum.reduce(np.abs(miss))) < look.sure_px:
+        before, miss = miss, inward - shift @ rows
+        if float(np.maximum.reduce(np.maximum(np.abs(before), np.abs(miss)))) < look.sure_px:
             break  # weights would hardly change
     return SnakeFit(corners + shift.reshape(corners.shape), covariance, edges, weight, miss,
                     shift, float(np.maximum.reduce(np.abs(shift))))
@@ -144,12 +144,12 @@ def _variance(edges: Edges, miss: np.ndarray) -> np.ndarray:
     edge by as much as if all of them had been its own (Cauchy and Schwarz).
     """
     pixels = edges.pixels
-    explained = (edges.inward * edges.inward - miss * miss) / (edges.variance * pixels)
-    left = edges.residual * np.maximum(1.0 - explained, 0.1)
+    per_square = edges.residual / (edges.variance * pixels)  # of an offset
+    left = np.maximum(edges.residual - per_square * edges.inward ** 2, 0.1 * edges.residual)
     noise = noise_of(left, pixels)
     usual = noise * (1.0 + ODD_SIGMAS * math.sqrt(2.0 / float(pixels[len(pixels) // 2])))
-    counted = np.maximum(left, noise) + pixels * np.maximum(left - usual, 0.0)
-    return counted * (edges.variance / edges.residual)
+    odd = np.maximum(left + per_square * miss ** 2 - usual, 0.0)
+    return (np.maximum(left, noise) / pixels + odd) / per_square
 
 
 def polygon_rows(edges: Edges, corner_count: int) -> np.ndarray:
@@ -186,12 +186,18 @@ def _held(prior: Prior | None, corners: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def _side_middles(votes: np.ndarray, side: np.ndarray, usable: np.ndarray,
                   count: int) -> np.ndarray:
-    """Give each segment the median of its side."""
-    order = np.lexsort((votes, ~usable, side))  # usable ones first on each side
-    voters = np.bincount(side, usable, count).astype(np.intp)
-    before = np.searchsorted(side, np.arange(count))
-    chosen = order.take(np.minimum(before + voters // 2, len(order) - 1))
-    return np.where(voters > 0, votes.take(chosen), 0.0).take(side)
+    """Give each segment the median of its side's usable ones; sides come in order."""
+    ends = side.searchsorted(_counted(count + 1)).tolist()
+    all_usable, middles = bool(usable.all()), []
+    for first, last in zip(ends, ends[1:]):
+        own = votes[first:last] if all_usable else votes[first:last][usable[first:last]]
+        middles.append(middle(own) if len(own) else 0.0)
+    return np.array(middles).take(side)
+
+
+@lru_cache(maxsize=8)
+def _counted(count: int) -> np.ndarray:
+    return np.arange(count)
 
 
 def noise_of(residual: np.ndarray, pixels: np.ndarray) -> float:

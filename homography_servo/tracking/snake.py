@@ -23,7 +23,7 @@ from homography_servo.tracking.strips import Strips
 import numpy as np
 
 INLIER_WEIGHT = 0.1
-MOST_DONE_PX, MOST_STEADY_PX = 0.2, 0.3  # largest last step; step that leaves levels as they are
+MOST_DONE_PX, MOST_STEADY_PX = 0.3, 0.3  # largest last step; step that leaves levels as they are
 SAME_LEVELS_PX = 0.03  # all sides in or out by less: grey levels need no second look
 IMAGE_PLANE = Plane(None)
 
