@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from homography_servo.geometry.face import face_corners
 from homography_servo.result import Rejected
 from homography_servo.tracking.face_pose import FacePose
@@ -95,14 +97,21 @@ class FaceCheck:
         """Give the reason why corners (4, 2) are no view of the face, or nothing."""
         if self._plane.camera is None:
             return ''
-        rays = self._plane.rays(corners)
-        pose = pose_of_face(self._points_m, rays) if self._pose is None \
-            else next_pose(self._points_m, rays, self._pose)
+        rays, near = self._plane.rays(corners), self._pose
+        pose = pose_of_face(self._points_m, rays) if near is None \
+            else next_pose(self._points_m, rays, near)
+        if near is not None and self._miss_px(pose) > settings.max_shape_miss_px:
+            pose = pose_of_face(self._points_m, rays)  # it may have turned too far for one step
         self._pose = None
         if isinstance(pose, Rejected):
             return pose.reason
-        miss_px = float(self._plane.focal.mean() * np.sqrt(np.mean(pose.miss ** 2)))
+        miss_px = self._miss_px(pose)
         if miss_px > settings.max_shape_miss_px:
             return f'the corners miss a view of the face by {miss_px:.1f} px'
         self._pose = pose
         return ''
+
+    def _miss_px(self, pose: FacePose | Rejected) -> float:
+        if isinstance(pose, Rejected):
+            return math.inf
+        return float(self._plane.focal.mean() * np.sqrt(np.mean(pose.miss ** 2)))
