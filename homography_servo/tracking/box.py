@@ -7,6 +7,7 @@ from typing import NamedTuple
 import cv2
 from homography_servo.geometry.face import face_corners
 from homography_servo.result import Rejected
+from homography_servo.tracking.edges import Edges
 from homography_servo.tracking.face_pose import FacePose
 from homography_servo.tracking.face_pose import moved_pose
 from homography_servo.tracking.face_pose import pose_of_face
@@ -60,7 +61,7 @@ class BoxSides:
         self._all_m = np.vstack([front, front + (0.0, 0.0, height_m)])
         self._pose: FacePose | None = None
         self._step = np.zeros(6)  # from picture to picture
-        self.levels = SideLevels()
+        self._levels = SideLevels()
 
     def strips(self, corners: np.ndarray) -> tuple[Strips, Prior] | tuple[None, None]:
         """
@@ -73,15 +74,19 @@ class BoxSides:
             is known.
 
         """
-        if not self.levels.known:
+        if not self._levels.known:
             return None, None
         outline = self.outline(corners)
         if isinstance(outline, Rejected):
             return None, None
         self._pose, self._step = outline.pose, outline.step
-        strips = Strips(outline.width, outline.rows, *self.levels.relative(),
+        strips = Strips(outline.width, outline.rows, *self._levels.relative(),
                         _spans(outline, corners))
         return strips, outline.rigid
+
+    def learn(self, edges: Edges, weight: np.ndarray, strips: Strips | None, half: int) -> None:
+        """Take in the grey levels that a good fit with weights (s,) has found."""
+        self._levels.learn(edges, weight, strips, half)
 
     def outline(self, corners: np.ndarray) -> Outline | Rejected:
         """Find the pose of the face and from it the outline of the box."""

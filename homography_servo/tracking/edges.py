@@ -29,9 +29,9 @@ from homography_servo.tracking.scan import Scan
 from homography_servo.tracking.scan import side_geometry
 from homography_servo.tracking.strips import Back
 from homography_servo.tracking.strips import Strips
+from homography_servo.tracking.wedge import cut_corners
 import numpy as np
 
-SQUARE = 0.08  # cosine of a corner that may be taken for a right angle
 SMALL_PX = 0.02  # a doubtful offset that levels learnt from each other shorten by little
 LINEAR_SHARE = 0.85  # of the largest offset that the linear step can show
 
@@ -108,8 +108,8 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
     first, step, scale = line_distances(scan, geometry)
     place = profile.places(first, step, len(scan.grey))
     edge = profile.share_and_slope(place)
-    _cut_corners(scan, geometry, profile, first, step, edge)
-    edge = edge[:, :, :layout.count]
+    cut_corners(scan, geometry, profile, first, step, edge)
+    edge = edge[:, :, :layout.total]
     back = None if strips is None else strips.mix_in(scan, profile, place, scale, edge)
     sums = _sums(scan, edge)
     levels = fit_levels(sums, scan, known, memory)
@@ -149,40 +149,6 @@ def line_distances(scan: Scan, geometry: Geometry
         return first.astype(np.float32), step.astype(np.float32), None
     scale = 1.0 / np.sqrt(np.add.reduce(scan.step * scan.step, axis=0))
     return (first * scale).astype(np.float32), (step * scale).astype(np.float32), scale
-
-
-def _cut_corners(scan: Scan, geometry: Geometry, profile: EdgeProfile, first: np.ndarray,
-                 step: np.ndarray, edge: np.ndarray) -> None:
-    """
-    Let the next side cut off the lines close to a corner, in place.
-
-    The share of a blurred wedge is that of two correlated normal variables, by its
-    series in the correlation (which is 0 at a right angle).
-    """
-    layout, total = scan.layout, scan.layout.count
-    near, alike = layout.near, geometry.normal.T @ geometry.normal
-    skew = -alike[layout.own[total:], layout.side[total:]].astype(np.float32)
-    own, (cut_share, cut_slope) = edge.take(near, axis=2), edge[:, :, total:]
-    if np.abs(skew).max(initial=0.0) < SQUARE:
-        edge[:, :, near] = own * cut_share
-        return
-    count = np.arange(len(scan.grey), dtype=np.float32)[:, None]
-    away = first.take(near) + count * step.take(near)
-    beyond = first[total:] + count * step[total:]
-    variance = np.float32(profile.sigma_px ** 2)
-    twist = skew * cut_slope
-    half = beyond
-    half *= twist
-    half *= np.float32(0.5) * skew
-    share, slope = own
-    share *= cut_share
-    share += slope * (half * away - variance * twist)
-    half *= away * away / variance - np.float32(1.0)
-    twist *= away
-    twist += cut_share
-    twist -= half
-    slope *= twist
-    edge[:, :, near] = own
 
 
 def _with_common(inward: np.ndarray, variance: np.ndarray, sums: Sums,

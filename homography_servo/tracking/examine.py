@@ -102,7 +102,7 @@ def _with_sides(image: np.ndarray, fit: SnakeFit, turn: int, target: Target,
     sides, fit = BoxSides(target.face_size_m, target.box_height_m, plane), turned_fit(fit, turn)
     narrow = Look(target.blur_px, NARROW_HALF, iterations=3)
     for _ in range(SIDE_ROUNDS):
-        sides.levels.learn(fit.edges, fit.weight, fit.strips, NARROW_HALF)
+        sides.learn(fit.edges, fit.weight, fit.strips, NARROW_HALF)
         again = fit_snake(image, fit.corners, narrow, plane, None, target.polarity,
                           sides.strips(fit.corners)[0])
         if isinstance(again, Rejected):

@@ -7,7 +7,6 @@ from homography_servo.result import required
 from homography_servo.tracking.box import BoxSides
 from homography_servo.tracking.doubts import FaceCheck
 from homography_servo.tracking.doubts import SEEN_SIDE
-from homography_servo.tracking.doubts import SIDES_NEEDED
 from homography_servo.tracking.doubts import surprise
 from homography_servo.tracking.doubts import weak_support
 from homography_servo.tracking.focus import first_focus
@@ -21,10 +20,10 @@ from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import Look
 from homography_servo.tracking.polygon_fit import Prior
 from homography_servo.tracking.polygon_fit import SnakeFit
+from homography_servo.tracking.print_follower import PrintFollower
 from homography_servo.tracking.scan import read_scan
 from homography_servo.tracking.snake import fit_snake
 from homography_servo.tracking.snake import INLIER_WEIGHT
-from homography_servo.tracking.texture import FaceTexture
 from homography_servo.tracking.tracker_settings import POLARITIES
 from homography_servo.tracking.tracker_settings import TrackerSettings
 import numpy as np
@@ -37,9 +36,7 @@ REFOCUS_EVERY, REFOCUS_FIRST = 10, 10  # pictures
 CLEAR_SIDE = 0.9  # share of its lines that makes a side clear
 CHECK_EVERY = 4  # pictures: the shape of a face all of whose sides are clear
 REMEMBER_EVERY, KEY_EVERY = 5, 12
-CLICK_SIGMA_PX = 1.0  # of corners that a person points at
 NEARBY_PX, APART_PX = 12.0, 4.0  # search for the face beside edges that may not be its own
-TOLD_PX = 4.0  # how far from given corners weak edges may lie
 
 
 class Follower:
@@ -66,10 +63,9 @@ class Follower:
         self._box: BoxSides | None = None
         if box_height_m > 0.0 and plane.camera is not None:
             self._box = BoxSides(face_size_m, box_height_m, plane)
-        self._locator, self._texture = Locator(), FaceTexture()
-        self._edges_are_weak = False
-        self._accepted = 0
+        self._locator, self._accepted = Locator(), 0
         self._face = FaceCheck(face_size_m, plane)
+        self._print = PrintFollower(plane, self._face)
         self.forget()
 
     @property
@@ -109,7 +105,7 @@ class Follower:
 
         """
         prior = required(self._motion, 'face to follow').predict(stamp_s)
-        fit = self._by_print(image, prior.corners, prior) if self._edges_are_weak \
+        fit = self._by_print(image, prior.corners, prior) if self._print.needed \
             else self._fine(image, prior)
         if fit:
             return fit
@@ -117,7 +113,7 @@ class Follower:
         located = self._locate(image, prior.corners)
         given = None if given_px is None else self._plane.from_image(given_px)
         for corners in (located, given):
-            if not fit and corners is not None and not self._edges_are_weak:
+            if not fit and corners is not None and not self._print.needed:
                 fit = self._near(image, Prior(corners, prior.information), MEDIUM)
         for corners in (prior.corners, located):
             if not fit and corners is not None:
@@ -150,43 +146,15 @@ class Follower:
             if corners is not None:
                 fit = self._near(image, Prior(corners, prior.information), MEDIUM)
         if not fit and told:
-            return self._told(image, prior)
+            return self._print.begin(image, prior, self.blur_px, self.settings)
         if isinstance(fit, Rejected) or self._accepted:
             return fit
         return self.settle(image, fit)
 
-    def _told(self, image: np.ndarray, prior: Prior) -> SnakeFit | Rejected:
-        """Accept weak edges around given corners where there is print to go on with."""
-        clicked = Prior(prior.corners, np.eye(8) / CLICK_SIGMA_PX ** 2)
-        fit = fit_snake(image, prior.corners, Look(self.blur_px, self.settings.edge_half_px),
-                        self._plane, clicked, POLARITIES[self.settings.polarity])
-        if isinstance(fit, Rejected):
-            return fit
-        self._texture.remember(image, self._plane.to_image(fit.corners))
-        self._edges_are_weak = True
-        moved_px = float(np.abs(fit.corners - prior.corners).max())
-        if not self._texture.known or moved_px > TOLD_PX \
-                or np.count_nonzero(fit.judged.side_share > 2.0 * SEEN_SIDE) < SIDES_NEEDED - 1:
-            self._texture.forget()
-            self._edges_are_weak = False
-            return Rejected('neither edges nor print confirm the given corners')
-        return fit
-
     def _by_print(self, image: np.ndarray, corners: np.ndarray,
                   expected: Prior) -> SnakeFit | Rejected:
-        """Follow by the print on the face, and by its edges where they show."""
-        found = self._texture.align(image, self._plane.to_image(corners))
-        if found is None:
-            return Rejected('the face does not look as before')
-        prior = Prior(self._plane.from_image(found.corners), found.information)
-        look = Look(self.blur_px, self.settings.edge_half_px, least=0, first_sure_px=0.15)
-        fit = fit_snake(image, prior.corners, look, self._plane, prior,
-                        POLARITIES[self.settings.polarity])
-        if isinstance(fit, Rejected):
-            return fit
-        doubt = surprise(fit, expected, self.settings, self.following) \
-            or self._face.doubt(fit.corners, self.settings)
-        return Rejected(doubt) if doubt else fit._replace(by_print=True)
+        return self._print.fit(image, corners, expected, self.blur_px, self.settings,
+                               self.following)
 
     def settle(self, image: np.ndarray, fit: SnakeFit) -> SnakeFit | Rejected:
         """Learn blur and the levels of the box's sides from a first fit, and fit again."""
@@ -196,7 +164,7 @@ class Follower:
         rounds = 1 if self._box is None else 3
         for look in (*[self._sharp] * rounds, self._fine):
             if self._box is not None:
-                self._box.levels.learn(fit.edges, fit.weight, fit.strips, self.settings.edge_half_px)
+                self._box.learn(fit.edges, fit.weight, fit.strips, self.settings.edge_half_px)
             again = look(image, shape_prior(fit.corners, GIVEN_SHAPE_SIGMA_PX))
             if isinstance(again, Rejected):
                 return again
@@ -211,11 +179,11 @@ class Follower:
         self._accepted += 1
         good = fit.weight > INLIER_WEIGHT
         if self._box is not None:
-            self._box.levels.learn(fit.edges, fit.weight, fit.strips, self.settings.edge_half_px)
+            self._box.learn(fit.edges, fit.weight, fit.strips, self.settings.edge_half_px)
         if self._accepted % REMEMBER_EVERY == 1:
             self._locator.remember(image, self._plane.to_image(fit.corners))
-        if not self._texture.known and self._accepted % KEY_EVERY == 1:
-            self._texture.remember(image, self._plane.to_image(fit.corners))
+        if not self._print.known and self._accepted % KEY_EVERY == 1:
+            self._print.remember(image, fit.corners)
         known = fit.edges.known
         self._memory = LevelMemory.first(known) if self._memory is None \
             else self._memory.updated(known)

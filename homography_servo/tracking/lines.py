@@ -49,7 +49,7 @@ class Layout(NamedTuple):
     rising: np.ndarray  # (s,) whether lines run towards the inside
 
     @property
-    def count(self) -> int:
+    def total(self) -> int:
         """Give the number of lines."""
         return len(self.own) - len(self.near)
 
@@ -82,7 +82,7 @@ def place_lines(shown: np.ndarray, sag: np.ndarray | None, half: int, stride: in
     if sag is not None:
         table[:2] += table[6:] * (along * (1.0 - along))
     start = np.rint(table[:2])
-    return Lines(layout, start, along[:layout.count])
+    return Lines(layout, start, along[:layout.total])
 
 
 def _side_lines(start: list[float], end: list[float], bend: list[float], span: list[float],
@@ -113,6 +113,7 @@ def _side_lines(start: list[float], end: list[float], bend: list[float], span: l
     low -= stride * ((rounded - lines) // 2 + before)
     across, bow = cross + slope * (low - main) - half, 4.0 * bend[not steep]
     along, along_step = (low - main) / run, stride / run
+    row: tuple[float, ...]
     if steep:
         row = (across, low, along, stride * slope, stride, along_step, bow, 0.0)
     else:
@@ -162,7 +163,7 @@ def _cut(own: np.ndarray, steep: np.ndarray, rising: np.ndarray, near: np.ndarra
 def lines_within(lines: Lines, corner_count: int, half: int, shape: tuple[int, ...],
                  per_segment: int) -> Lines:
     """Keep the lines that lie inside the image wholly."""
-    layout, total = lines.layout, lines.layout.count
+    layout, total = lines.layout, lines.layout.total
     before = FAR_PX * layout.step
     low, high = lines.start - before, lines.start + before + (2 * half) * layout.step
     limit = np.array([[shape[1]], [shape[0]]])

@@ -103,7 +103,7 @@ def read_scan(image: np.ndarray, corners: np.ndarray, plane: Plane, half: int, s
     lines = place_lines(shown, sag, half, stride, lines_per_segment, spans)
     if outside_px + half + FAR_PX + 3 > 0.0:
         lines = lines_within(lines, len(corners), half, image.shape, lines_per_segment)
-        if lines.layout.count < 3 * len(corners):
+        if lines.layout.total < 3 * len(corners):
             return None
     return _gather(image, plane, half, lines)
 
@@ -140,7 +140,7 @@ def _read(half: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _gather(image: np.ndarray, plane: Plane, half: int, lines: Lines) -> Scan:
-    layout, total, (read, parts) = lines.layout, lines.layout.count, _read(half)
+    layout, total, (read, parts) = lines.layout, lines.layout.total, _read(half)
     to_pixel = np.array([1.0, image.shape[1]])
     first, step = (to_pixel @ lines.start).astype(np.intp), \
         (to_pixel @ layout.step).astype(np.intp)
@@ -151,11 +151,13 @@ def _gather(image: np.ndarray, plane: Plane, half: int, lines: Lines) -> Scan:
     table = np.empty((4, total), np.float32)
     np.matmul(parts, grey, out=table[:3])
     np.einsum('ij,ij->j', close, close, out=table[3])
-    sums = np.add.reduceat(table, layout.first_line, axis=1, dtype=float)
-    far = np.where(layout.rising, sums[:2], sums[1::-1]) / (FAR_READ * layout.lines)
+    low_high, (grey_sum, grey_square) = np.add.reduceat(
+        table, layout.first_line, axis=1, dtype=float).reshape(2, 2, -1)
+    far = np.where(layout.rising, low_high, low_high[::-1]) / (FAR_READ * layout.lines)
     start, advance = _in_plane(plane, first, step, half) if plane.bent \
         else (lines.start, layout.step)
-    return Scan(close, far, *sums[2:], start, advance, lines.along, layout, plane.bent)
+    return Scan(close, far, grey_sum, grey_square, start, advance, lines.along, layout,
+                plane.bent)
 
 
 def _in_plane(plane: Plane, first: np.ndarray, step: np.ndarray,

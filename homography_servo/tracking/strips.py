@@ -79,7 +79,7 @@ class Strips(NamedTuple):
         Back or None
 
         """
-        layout, total, widest = scan.layout, scan.layout.count, len(scan.grey) // 2 - 1.0
+        layout, total, widest = scan.layout, scan.layout.total, len(scan.grey) // 2 - 1.0
         if not any(max(ends) > NARROWEST_PX and min(ends) < widest
                    for ends in self.width.tolist()):
             return None

@@ -14,6 +14,7 @@ from homography_servo.tracking.edges import measure_edges
 from homography_servo.tracking.focus import first_focus
 from homography_servo.tracking.focus import refocus
 from homography_servo.tracking.plane import Plane
+from homography_servo.tracking.polygon_fit import fit_polygon
 from homography_servo.tracking.polygon_fit import Look
 from homography_servo.tracking.profile import edge_profile
 from homography_servo.tracking.scan import read_scan
@@ -120,6 +121,32 @@ def test_corners_come_close_to_the_cramer_rao_bound(noise):
     rms = np.sqrt(np.mean(np.square(errors)))
     assert rms < 1.3 * np.sqrt(np.mean(bounds))
     assert np.abs(np.mean(errors, axis=0)).max() < 5.0 * rms / np.sqrt(len(errors))
+
+
+def test_the_first_step_is_as_long_as_it_must_be():
+    rng, gains = np.random.default_rng(3), []
+    for _ in range(60):
+        corners, away = quad(rng), rng.choice([-0.3, 0.3], 2)
+        fit = fit_snake(picture(corners, rng), corners + away, Look(0.8, 4, iterations=1))
+        gains.append((fit.corners - corners - away).mean(axis=0) / -away)
+    assert np.mean(gains) == pytest.approx(1.0, abs=0.015)
+
+
+def test_segments_that_noise_cannot_explain_hardly_count():
+    rng = np.random.default_rng(15)
+    corners = quad(rng, bend=0.0)
+    edges = measure_edges(read_scan(picture(corners, rng), corners, IDEAL, 4), corners,
+                          edge_profile(0.8))
+    odd = (edges.side == 0) & (edges.along < 0.4)
+    shifted = edges._replace(inward=edges.inward + 0.2 * odd)
+    foreign = shifted._replace(residual=edges.residual * np.where(odd, 6.0, 1.0),
+                               variance=edges.variance * np.where(odd, 6.0, 1.0))
+    every = np.ones(len(odd), bool)
+    wrong, guarded, without = (
+        fit_polygon(each, corners, usable, None, Look(0.8, 4)).corners
+        for each, usable in ((shifted, every), (foreign, every), (edges, ~odd)))
+    assert np.abs(wrong - without).max() > 0.1
+    assert np.abs(guarded - without).max() < 0.03
 
 
 def bound_px2(corners, noise, step=0.05, blur=0.8):

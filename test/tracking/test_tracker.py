@@ -31,7 +31,7 @@ WORLDS = {
     'light': (SceneSettings(gradient=0.5, flicker=0.1), 0.0, CAMERA, 0.05, 0.2),
     'soft': (SceneSettings(blur_px=2.0), 0.0, CAMERA, 0.08, 0.3),
     'bent': (SceneSettings(), 0.0, BENT, 0.05, 0.2),
-    'box': (SceneSettings(shadow=0.5), 0.04, CAMERA, 0.3, 1.0),
+    'box': (SceneSettings(shadow=0.5), 0.04, CAMERA, 0.15, 0.7),
 }
 
 
