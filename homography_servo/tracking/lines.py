@@ -17,7 +17,7 @@ import numpy as np
 CORNER_REACH_PX = 2.5  # lines go on for at most this much beyond the corners
 CORNER_ZONE_PX = 3.0  # lines this close to a corner see the next side too
 FAR_PX = 8  # pixels beyond either end of a line, for the grey levels only
-ROUND_LINES = 8  # a side has a multiple of so many lines, so that their number rests
+ROUND_PX = 8  # lines of a side cover a multiple of this, so that their number rests
 
 
 class Side(NamedTuple):
@@ -109,7 +109,8 @@ def _side_lines(start: list[float], end: list[float], bend: list[float], span: l
     one, other = main + span[0] * run, main + span[1] * run
     low = math.ceil(min(one, other) - reach)
     lines = max(math.floor(max(one, other) + reach) - low, -stride) // stride + 1
-    rounded = ROUND_LINES * (lines // ROUND_LINES)
+    rounding = max(ROUND_PX // stride, 1)
+    rounded = rounding * (lines // rounding)
     low -= stride * ((rounded - lines) // 2 + before)
     across, bow = cross + slope * (low - main) - half, 4.0 * bend[not steep]
     along, along_step = (low - main) / run, stride / run

@@ -3,7 +3,7 @@
 from homography_servo.tracking.lines import CORNER_REACH_PX
 from homography_servo.tracking.lines import lines_within
 from homography_servo.tracking.lines import place_lines
-from homography_servo.tracking.lines import ROUND_LINES
+from homography_servo.tracking.lines import ROUND_PX
 import numpy as np
 import pytest
 
@@ -30,9 +30,9 @@ def test_lines_reach_from_corner_to_corner_and_hardly_beyond(angle):
     for side, places in enumerate(along):
         step = np.abs(np.diff(places.astype(float))).max()
         reach = (CORNER_REACH_PX + 1.0) * step
-        assert -reach <= places.min() < 0.5 * ROUND_LINES * step
-        assert 1.0 - 0.5 * ROUND_LINES * step < places.max() <= 1.0 + reach
-        assert len(places) % ROUND_LINES == 0
+        assert -reach <= places.min() < 0.5 * ROUND_PX * step
+        assert 1.0 - 0.5 * ROUND_PX * step < places.max() <= 1.0 + reach
+        assert len(places) % ROUND_PX == 0
 
 
 def test_each_line_crosses_its_side_in_its_middle():
