@@ -36,6 +36,7 @@ REFOCUS_EVERY, REFOCUS_FIRST = 10, 10  # pictures
 CLEAR_SIDE = 0.9  # share of its lines that makes a side clear
 CHECK_EVERY = 4  # pictures: the shape of a face all of whose sides are clear
 REMEMBER_EVERY, KEY_EVERY = 5, 12
+ROUND_PX = 8  # sides of a face that is followed are cut to a multiple of this
 NEARBY_PX, APART_PX = 12.0, 4.0  # search for the face beside edges that may not be its own
 
 
@@ -237,6 +238,7 @@ class Follower:
         half = self.settings.edge_half_px + max(0, round(2.0 * (blur_px - 0.8)))
         strips, rigid = (None, None) if self._box is None else self._box.strips(prior.corners)
         held = prior if rigid is None else both(prior, rigid)
-        return fit_snake(image, prior.corners, Look(blur_px, half), self._plane, held,
+        look = Look(blur_px, half, round_px=ROUND_PX)
+        return fit_snake(image, prior.corners, look, self._plane, held,
                          POLARITIES[self.settings.polarity], strips,
                          None if self._motion is None else self._memory)

@@ -14,10 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-CORNER_REACH_PX = 2.5  # lines go on for at most this much beyond the corners
+CORNER_REACH_PX = 1.5  # lines go on for about this much beyond the corners
 CORNER_ZONE_PX = 3.0  # lines this close to a corner see the next side too
 FAR_PX = 8  # pixels beyond either end of a line, for the grey levels only
-ROUND_PX = 8  # lines of a side cover a multiple of this, so that their number rests
 
 
 class Side(NamedTuple):
@@ -63,15 +62,15 @@ class Lines(NamedTuple):
 
 
 def place_lines(shown: np.ndarray, sag: np.ndarray | None, half: int, stride: int,
-                per_segment: int, spans: np.ndarray | None) -> Lines:
-    """Lay scan lines across all sides."""
+                per_segment: int, spans: np.ndarray | None, round_px: int) -> Lines:
+    """Lay scan lines across all sides; those of a side cover a multiple of `round_px`."""
     corners, count, first = shown.tolist(), len(shown), 0
     bends = [(0.0, 0.0)] * count if sag is None else sag.tolist()
     parts = [(0.0, 1.0)] * count if spans is None else spans.tolist()
     sides, rows = [], []
     for here, (corner, bend, part) in enumerate(zip(corners, bends, parts)):
         row, side = _side_lines(corner, corners[(here + 1) % count], bend, part, first, half,
-                                stride)
+                                stride, round_px)
         rows.append(row)
         sides.append(side)
         first += side.lines
@@ -86,7 +85,8 @@ def place_lines(shown: np.ndarray, sag: np.ndarray | None, half: int, stride: in
 
 
 def _side_lines(start: list[float], end: list[float], bend: list[float], span: list[float],
-                before: int, half: int, stride: int) -> tuple[tuple[float, ...], Side]:
+                before: int, half: int, stride: int,
+                round_px: int) -> tuple[tuple[float, ...], Side]:
     """
     Lay scan lines across one side.
 
@@ -105,11 +105,12 @@ def _side_lines(start: list[float], end: list[float], bend: list[float], span: l
     # Pixels drift along a slanted side, and its lines are closer together.
     lean = 1.0 / math.sqrt(1.0 + slope * slope)
     near = lean * (CORNER_ZONE_PX + half * abs(slope) * lean)
-    reach = CORNER_REACH_PX if span[0] <= 0.0 and span[1] >= 1.0 else 0.0
+    reach = CORNER_REACH_PX + 0.125 * (round_px - 1) \
+        if span[0] <= 0.0 and span[1] >= 1.0 else 0.0
     one, other = main + span[0] * run, main + span[1] * run
     low = math.ceil(min(one, other) - reach)
     lines = max(math.floor(max(one, other) + reach) - low, -stride) // stride + 1
-    rounding = max(ROUND_PX // stride, 1)
+    rounding = max(round_px // stride, 1)
     rounded = rounding * (lines // rounding)
     low -= stride * ((rounded - lines) // 2 + before)
     across, bow = cross + slope * (low - main) - half, 4.0 * bend[not steep]

@@ -43,6 +43,7 @@ class Look(NamedTuple):
     sure_px: float = 0.15  # scatter between segments that is not surprising
     first_sure_px: float = 0.6  # the same in the first round
     least: int = 8  # segments that must show an edge
+    round_px: int = 1  # lines of a side cover a multiple of this: their arrangement rests
 
 
 class Quality(NamedTuple):

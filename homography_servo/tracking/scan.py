@@ -69,7 +69,8 @@ def _next(count: int) -> np.ndarray:
 
 
 def read_scan(image: np.ndarray, corners: np.ndarray, plane: Plane, half: int, stride: int = 1,
-              lines_per_segment: int = 6, spans: np.ndarray | None = None) -> Scan | None:
+              lines_per_segment: int = 6, spans: np.ndarray | None = None,
+              round_px: int = 1) -> Scan | None:
     """
     Read the pixels around the sides of a polygon.
 
@@ -89,6 +90,8 @@ def read_scan(image: np.ndarray, corners: np.ndarray, plane: Plane, half: int, s
         How many lines share their grey levels.
     spans : (m, 2) array or None
         Part of each side to use, 0 to 1; None is all and a little beyond the corners.
+    round_px : int
+        The lines of a side cover a multiple of this, so that their number rests.
 
     Returns
     -------
@@ -100,7 +103,7 @@ def read_scan(image: np.ndarray, corners: np.ndarray, plane: Plane, half: int, s
     outside_px = _outside(shown, image.shape)
     if not outside_px < FARTHEST_PX:
         return None
-    lines = place_lines(shown, sag, half, stride, lines_per_segment, spans)
+    lines = place_lines(shown, sag, half, stride, lines_per_segment, spans, round_px)
     if outside_px + half + FAR_PX + 3 > 0.0:
         lines = lines_within(lines, len(corners), half, image.shape, lines_per_segment)
         if lines.layout.total < 3 * len(corners):

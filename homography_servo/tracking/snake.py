@@ -65,7 +65,7 @@ def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = I
     for iteration in range(look.iterations):
         if scan is None or far_px > 0.4 * look.half:
             scan, far_px = read_scan(image, corners, plane, look.half, look.stride, look.lines,
-                                     spans), 0.0
+                                     spans, look.round_px), 0.0
             known = None
             if scan is None:
                 return Rejected('the face is not inside the image')

@@ -3,11 +3,10 @@
 from homography_servo.tracking.lines import CORNER_REACH_PX
 from homography_servo.tracking.lines import lines_within
 from homography_servo.tracking.lines import place_lines
-from homography_servo.tracking.lines import ROUND_PX
 import numpy as np
 import pytest
 
-HALF, PER_SEGMENT = 4, 6
+HALF, PER_SEGMENT, ROUND_PX = 4, 6, 8
 
 
 def quad(angle=0.2, centre=(160.0, 120.0)):
@@ -17,7 +16,7 @@ def quad(angle=0.2, centre=(160.0, 120.0)):
 
 
 def lay(corners):
-    return place_lines(corners, None, HALF, 1, PER_SEGMENT, None)
+    return place_lines(corners, None, HALF, 1, PER_SEGMENT, None, ROUND_PX)
 
 
 @pytest.mark.parametrize('angle', np.linspace(-3.0, 3.0, 9))
@@ -29,7 +28,7 @@ def test_lines_reach_from_corner_to_corner_and_hardly_beyond(angle):
                      dtype=object)
     for side, places in enumerate(along):
         step = np.abs(np.diff(places.astype(float))).max()
-        reach = (CORNER_REACH_PX + 1.0) * step
+        reach = (CORNER_REACH_PX + 0.25 * ROUND_PX) * step
         assert -reach <= places.min() < 0.5 * ROUND_PX * step
         assert 1.0 - 0.5 * ROUND_PX * step < places.max() <= 1.0 + reach
         assert len(places) % ROUND_PX == 0
