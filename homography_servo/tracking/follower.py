@@ -238,7 +238,7 @@ class Follower:
         half = self.settings.edge_half_px + max(0, round(2.0 * (blur_px - 0.8)))
         strips, rigid = (None, None) if self._box is None else self._box.strips(prior.corners)
         held = prior if rigid is None else both(prior, rigid)
-        look = Look(blur_px, half, round_px=ROUND_PX)
+        look = Look(blur_px, half, round_px=ROUND_PX if self.following else 1)
         return fit_snake(image, prior.corners, look, self._plane, held,
                          POLARITIES[self.settings.polarity], strips,
                          None if self._motion is None else self._memory)
