@@ -1,30 +1,41 @@
 """
-Fit a view of the face to the picture.
+Tell whether a quadrilateral is the face.
 
-The corners are fitted like in tracking, but held to what a rectangle of the known size
-can look like, so that a side that is hidden follows from the others.
+It is fitted like in tracking, must be the projection of a rectangle of the known size
+within reach, and is rated by how well edges, evenness, pose and the sides of the box
+behind it agree.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+from homography_servo.geometry.face import face_corners
 from homography_servo.result import Rejected
 from homography_servo.tracking.box import BoxSides
-from homography_servo.tracking.box import RIGID_SIGMA_PX
+from homography_servo.tracking.box import Outline
+from homography_servo.tracking.face_pose import FacePose
+from homography_servo.tracking.face_pose import pose_of_face
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import Look
-from homography_servo.tracking.polygon_fit import Prior
 from homography_servo.tracking.polygon_fit import Quality
 from homography_servo.tracking.polygon_fit import SnakeFit
+from homography_servo.tracking.quads import grey_at
 from homography_servo.tracking.snake import fit_snake
 import numpy as np
 
-GUESSED_SIGMA = 0.01  # of the corners about a view through a guessed lens, by the size
-HALF, STEPS = 5, 3
-LEAST_INLIERS = 0.5
-SEEN_SIDE, SIDES_NEEDED = 0.3, 3
-SQUARE = 0.02  # difference of the sides of a square
+STEEPEST = 0.35  # cosine of the largest tilt
+LEAST_SCORE = 0.5
+LIKELY_MISS = 0.6  # of the miss of the proportions that is allowed
+FULL_GREY = 50.0  # contrast from which on more is not better
+NO_SIDES_SEEN = 0.65  # evidence where no side of the box can be in view
+CLEAR_GREY = 10.0  # contrast that is no noise
+EVEN_GREY = 12.0  # differences that a face of one colour may show
+AWAY_PX = 4.0  # distance from a side at which grey levels are compared
+STRIP_SAMPLES = np.linspace(0.15, 0.85, 7)
+NARROW_HALF = 5
+SLIVER_PX, SIDE_ROUNDS = 0.1, 2  # a miss that a narrow side of the box may cause
+WIDE = Look(1.5, 7, 3, 3, 3, 6.0, 0.5, 1.5)
 
 
 class Target(NamedTuple):
@@ -44,65 +55,144 @@ class Found(NamedTuple):
 
     fit: SnakeFit
     quality: Quality
-    odds: float  # logarithm of how much likelier it is the face than not
+    score: float  # 0..1
+    shape_miss_px: float  # RMS of the corners about the nearest rectangle's projection
 
 
-def examine(image: np.ndarray, corners: np.ndarray, odds: float, target: Target, plane: Plane,
+def examine(image: np.ndarray, quad: np.ndarray, target: Target, plane: Plane,
             expected: np.ndarray | None = None) -> Found | Rejected:
-    """
-    Fit a candidate.
+    """Fit a candidate and check that it can be the face."""
+    fit = fit_snake(image, quad, WIDE, plane, None, target.polarity)
+    if isinstance(fit, Rejected):
+        return fit
+    if best_pose(fit.corners, target.face_size_m, plane)[1] > 2.0 + 0.03 * _size(fit.corners):
+        return Rejected('the proportions are not those of the face')
+    narrow = Look(target.blur_px, NARROW_HALF, iterations=3)
+    fit = fit_snake(image, fit.corners, narrow, plane, None, target.polarity)
+    if isinstance(fit, Rejected):
+        return fit
+    pose, miss_px, turns = best_pose(fit.corners, target.face_size_m, plane)
+    allowed_px = 0.4 + (0.03 if target.guessed_lens else 0.01) * _size(fit.corners)
+    if SLIVER_PX < miss_px < allowed_px and target.box_height_m > 0.0 \
+            and not target.guessed_lens:
+        fit = _with_sides(image, fit, turns[0], target, plane)
+        pose, miss_px, turns = best_pose(fit.corners, target.face_size_m, plane)
+    quality = fit.judged
+    if quality.inlier_share < 0.55 or quality.side_share.min() < 0.15:
+        return Rejected('the edges do not support the quadrilateral')
+    if pose is None or miss_px > allowed_px:
+        return Rejected('the proportions are not those of the face')
+    cosine = abs(float(pose.rotation[:, 2] @ pose.translation)) \
+        / float(np.linalg.norm(pose.translation))
+    if not target.nearest_m < pose.translation[2] < target.farthest_m or cosine < STEEPEST:
+        return Rejected('the face would be out of reach')
+    turn = min(turns, key=lambda number: _turn_cost(fit.corners, number, expected))
+    score = quality.inlier_share * quality.side_share.min() ** 0.25 \
+        * float(np.exp(-miss_px / (LIKELY_MISS * allowed_px))) * _evenness(fit) \
+        * min(abs(quality.contrast) / FULL_GREY, 1.0) ** 0.5
+    if score < LEAST_SCORE:  # looking at the sides of the box takes time
+        return Rejected('the edges, the evenness and the proportions are not those of the face')
+    score *= _box_evidence(image, fit.corners, turns[0], target, plane)
+    return Found(turned_fit(fit, turn), quality, float(score), miss_px)
 
-    Parameters
-    ----------
-    image : (H, W) uint8 array
-        Contiguous grey image.
-    corners : (4, 2) array
-        To within a pixel or so, in the plane; the first is the face's first, or third.
-    odds : float
-        Logarithm of how much likelier the candidate is the face than not.
-    target : Target
-        The face and where it may be.
-    plane : Plane
-        With a camera.
-    expected : (4, 2) array or None
-        Decides the order of the corners that come out.
+
+def _with_sides(image: np.ndarray, fit: SnakeFit, turn: int, target: Target,
+                plane: Plane) -> SnakeFit:
+    """Fit again with the sides of the box, whose slivers shift the edges of the face."""
+    sides, fit = BoxSides(target.face_size_m, target.box_height_m, plane), turned_fit(fit, turn)
+    narrow = Look(target.blur_px, NARROW_HALF, iterations=3)
+    for _ in range(SIDE_ROUNDS):
+        sides.learn(fit.edges, fit.weight, fit.strips, NARROW_HALF)
+        again = fit_snake(image, fit.corners, narrow, plane, None, target.polarity,
+                          sides.strips(fit.corners)[0])
+        if isinstance(again, Rejected):
+            return fit
+        fit = again
+    return fit
+
+
+def best_pose(quad: np.ndarray, face_size_m: tuple[float, float], plane: Plane
+              ) -> tuple[FacePose | None, float, list[int]]:
+    """
+    Fit the pose of the face to a quadrilateral in the turns that its proportions allow.
 
     Returns
     -------
-    Found or Rejected
+    FacePose or None, float, list of int
+        The better one, the RMS distance of the corners from its projection [px], and
+        by how many places the corners may be rolled.
 
     """
-    outline = BoxSides(target.face_size_m, target.box_height_m, plane).outline(corners)
+    points_m, rays = face_corners(*face_size_m), plane.rays(quad)
+    rough = [pose_of_face(points_m, np.roll(rays, -turn, axis=0), None, 0) for turn in (0, 1)]
+    better = int(_missed(rough[1], plane) < _missed(rough[0], plane))
+    pose = rough[better]
+    if not isinstance(pose, Rejected):
+        pose = pose_of_face(points_m, np.roll(rays, -better, axis=0), pose)
+    turns = [better, better + 2]
+    if abs(face_size_m[0] / face_size_m[1] - 1.0) < 0.02:
+        turns = [0, 1, 2, 3]
+    return (None if isinstance(pose, Rejected) else pose), _missed(pose, plane), turns
+
+
+def _missed(pose: FacePose | Rejected, plane: Plane) -> float:
+    """Give the RMS distance of the corners from the projected face [px]."""
+    if isinstance(pose, Rejected):
+        return np.inf
+    return float(plane.focal.mean() * np.sqrt(np.mean(pose.miss ** 2)))
+
+
+def _size(quad: np.ndarray) -> float:
+    across, down = quad[1] - quad[0], quad[3] - quad[0]
+    return float(np.sqrt(np.abs(across[0] * down[1] - across[1] * down[0])))
+
+
+def _evenness(fit: SnakeFit) -> float:
+    """Rate how alike the sides look from inside, 0 to 1."""
+    edges, good = fit.edges, fit.weight > 0.1
+    inside = edges.outside + edges.contrast
+    levels = [np.median(inside[good & (edges.side == side)])
+              for side in range(4) if (good & (edges.side == side)).any()]
+    scale = np.abs(edges.contrast[good]).mean() + CLEAR_GREY
+    return float(np.exp(-np.std(levels) / scale))
+
+
+def _box_evidence(image: np.ndarray, corners: np.ndarray, turn: int, target: Target,
+                  plane: Plane) -> float:
+    """Rate whether the sides of the box show where they must, 0.4 to 1."""
+    if target.box_height_m <= 0.0:
+        return 1.0
+    outline = BoxSides(target.face_size_m, target.box_height_m, plane).outline(
+        np.roll(corners, -turn, axis=0))
     if isinstance(outline, Rejected):
-        return outline
-    fit = fit_snake(image, corners, Look(target.blur_px, HALF, iterations=STEPS), plane,
-                    _held(outline.rigid, target), target.polarity)
-    if isinstance(fit, Rejected):
-        return fit
-    quality = fit.judged
-    if quality.inlier_share < LEAST_INLIERS \
-            or np.count_nonzero(quality.side_share > SEEN_SIDE) < SIDES_NEEDED:
-        return Rejected('the edges do not support the quadrilateral')
-    turn = _best_turn(fit.corners, target, expected)
-    return Found(turned_fit(fit, turn), quality, odds)
+        return 0.4
+    seen = [_strip_shows(image, np.roll(corners, -turn, axis=0), outline, side, plane)
+            for side in range(4) if outline.width[side].mean() > 4.0]
+    return 0.4 + 0.6 * float(np.mean(seen)) if seen else NO_SIDES_SEEN
 
 
-def _held(rigid: Prior, target: Target) -> Prior:
-    """Hold corners to a view of the face as firmly as the lens is known."""
-    if not target.guessed_lens:
-        return rigid
-    sigma_px = GUESSED_SIGMA * float(np.linalg.norm(np.ptp(rigid.corners, axis=0)))
-    return rigid._replace(information=rigid.information * (RIGID_SIGMA_PX / sigma_px) ** 2)
+def _strip_shows(image: np.ndarray, corners: np.ndarray, outline: Outline, side: int,
+                 plane: Plane) -> float:
+    """Compare the grey levels of a strip with those of the face and of what is behind."""
+    first, second = corners[side], corners[(side + 1) % 4]
+    along = second - first
+    outward = np.array([along[1], -along[0]]) / np.linalg.norm(along)
+    share = STRIP_SAMPLES[:, None]
+    reach = outline.reach[side, 0] + share * (outline.reach[side, 1] - outline.reach[side, 0])
+    width = outline.width[side, 0] + share * (outline.width[side, 1] - outline.width[side, 0])
+    at = first + reach * along
+    face, strip, near, behind = (
+        grey_at(image, plane.to_image(at + away * outward))
+        for away in (-AWAY_PX, 0.5 * width, width - 2.0, width + 3.0))
+    common = np.median(np.concatenate([strip, near]))
+    even = (np.abs(np.concatenate([strip, near]) - common) < EVEN_GREY).mean()
+    ends = np.minimum(np.abs(behind - common) / CLEAR_GREY, 1.0).mean()
+    apart = (np.abs(face - strip) > CLEAR_GREY).mean()
+    return float(even ** 2 * ends * apart)
 
 
-def _best_turn(corners: np.ndarray, target: Target, expected: np.ndarray | None) -> int:
-    """Say which corner comes first, of those that the proportions allow."""
-    width, height = target.face_size_m
-    turns = (0, 1, 2, 3) if abs(width / height - 1.0) < SQUARE else (0, 2)
-    return min(turns, key=lambda turn: _turn_cost(np.roll(corners, -turn, axis=0), expected))
-
-
-def _turn_cost(corners: np.ndarray, expected: np.ndarray | None) -> float:
+def _turn_cost(quad: np.ndarray, turn: int, expected: np.ndarray | None) -> float:
+    corners = np.roll(quad, -turn, axis=0)
     if expected is not None:
         away = (corners - corners.mean(axis=0)) - (expected - expected.mean(axis=0))
         return float(np.abs(away).sum())
