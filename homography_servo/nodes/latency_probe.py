@@ -7,6 +7,7 @@ message when it arrives here is the latency of the chain up to it, and one hop m
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from bisect import bisect_right
 import time
 from typing import Any, Callable
@@ -20,16 +21,28 @@ from homography_servo.nodes.kit import images_qos
 from sensor_msgs.msg import CameraInfo
 from trajectory_msgs.msg import JointTrajectory
 
+SOONER_S = 0.001  # by which the bridge may hear a command before the probe does
+
 
 class LatencyProbe:
     """
     Ages of messages, and when commands came.
 
-    ``ages_s`` maps each step to the ages of its messages; ``command_s`` and
-    ``look_s`` hold arrival times on the steady clock, the latter with image stamps.
+    ``ages_s`` maps each step to the ages of its messages; ``commands_s`` and
+    ``looks`` hold arrival times on the steady clock, the latter with image stamps.
+
+    Parameters
+    ----------
+    node : Node
+        Listens.
+    pose_after_s : float
+        How long after a command the pose behind it may arrive: in one process it is
+        published right after the command.
+
     """
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self, node: Any, pose_after_s: float = 0.0) -> None:
+        self._pose_after_s = pose_after_s
         self.ages_s: dict[str, list[float]] = {'image_hop': [], 'corners': [], 'pose': []}
         self.looks: list[tuple[float, float]] = []
         self.commands_s: list[float] = []
@@ -58,8 +71,8 @@ class LatencyProbe:
             self.commands_s.append(time.monotonic())
 
     def command_ages_s(self) -> list[float]:
-        """Give the age of the newest measured image when each command arrived."""
-        return self._ages_at(self.commands_s)
+        """Give the age of the image behind each command when the command arrived."""
+        return [time_s - stamp_s for time_s, stamp_s in self._stamped_commands()]
 
     def wire_ages_s(self, sent_s: list[float]) -> list[float]:
         """
@@ -71,18 +84,18 @@ class LatencyProbe:
             Steady times at which targets went out, ascending.
 
         """
-        firsts = []
-        for look_s, _ in self.looks:
-            index = bisect_right(sent_s, look_s)
-            if index < len(sent_s):
-                firsts.append(sent_s[index])
-        return self._ages_at(sorted(set(firsts)))
+        commands = self._stamped_commands()
+        arrivals = [time_s - SOONER_S for time_s, _ in commands]
+        firsts = {bisect_left(sent_s, arrival_s) for arrival_s in arrivals}
+        return [sent_s[index] - commands[bisect_right(arrivals, sent_s[index]) - 1][1]
+                for index in sorted(firsts) if index < len(sent_s)]
 
-    def _ages_at(self, times_s: list[float]) -> list[float]:
-        arrivals = [arrival_s for arrival_s, _ in self.looks]
-        ages = []
-        for time_s in times_s:
+    def _stamped_commands(self) -> list[tuple[float, float]]:
+        """Give when each command arrived, and the stamp of the newest image behind it."""
+        arrivals = [arrival_s - self._pose_after_s for arrival_s, _ in self.looks]
+        found = []
+        for time_s in self.commands_s:
             index = bisect_right(arrivals, time_s) - 1
             if index >= 0:
-                ages.append(time_s - self.looks[index][1])
-        return ages
+                found.append((time_s, self.looks[index][1]))
+        return found

@@ -27,6 +27,7 @@ from homography_servo.nodes.trial_client import TrialClient
 import numpy as np
 
 RATES_HZ = (30.0, 60.0, 120.0)
+POSE_AFTER_S = 0.003  # less than the period of the images
 # By the client; the probe hears what is timed, once.
 NOT_HEARD = ('image', 'camera_info', 'object/corners', 'object/contour', 'object/true_pose')
 TICKS_PER_S = os.sysconf('SC_CLK_TCK')
@@ -86,7 +87,7 @@ def measure(rate_hz: float, poses: int, folder: Path, one_process: bool) -> dict
     os.environ['ROS_DOMAIN_ID'] = str(1 + (os.getpid() + int(rate_hz) + one_process) % 100)
     bringup = Bringup('sim.yaml', words, folder / f'bringup_{name}.log', one_process)
     client = TrialClient(bringup.trouble)
-    probe = LatencyProbe(client.node)
+    probe = LatencyProbe(client.node, POSE_AFTER_S if one_process else 0.0)
     try:
         sentence = prepare(client, options)
         client.stop_hearing(*NOT_HEARD)
