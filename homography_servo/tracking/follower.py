@@ -30,7 +30,7 @@ import numpy as np
 
 WIDE = (Look(4.0, 12, 3, 3, 3, 2.0, 1.0, 2.0), Look(2.0, 8, 3, 3, 3, 2.0, 0.5, 1.0))
 MEDIUM = WIDE[1:]
-GIVEN_SHAPE_SIGMA_PX = 4.0
+GIVEN_SHAPE_SIGMA_PX = 4.0  # of corners that a person, the arm or a rough look gives
 FOCUS_HALF = 8  # pixels around the edges for a first look at the blur
 REFOCUS_EVERY, REFOCUS_FIRST = 10, 10  # pictures
 CLEAR_SIDE = 0.9  # share of its lines that makes a side clear

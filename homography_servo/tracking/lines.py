@@ -16,6 +16,7 @@ import numpy as np
 
 CORNER_REACH_PX = 1.5  # lines go on for about this much beyond the corners
 CORNER_ZONE_PX = 3.0  # lines this close to a corner see the next side too
+LEAST_PARTS = 6  # of a side whose lines are rounded
 FAR_PX = 8  # pixels beyond either end of a line, for the grey levels only
 
 
@@ -111,6 +112,8 @@ def _side_lines(start: list[float], end: list[float], bend: list[float], span: l
     low = math.ceil(min(one, other) - reach)
     lines = max(math.floor(max(one, other) + reach) - low, -stride) // stride + 1
     rounding = max(round_px // stride, 1)
+    if lines < LEAST_PARTS * rounding:
+        rounding = 1  # it would cost too much of a short side
     rounded = rounding * (lines // rounding)
     low -= stride * ((rounded - lines) // 2 + before)
     across, bow = cross + slope * (low - main) - half, 4.0 * bend[not steep]

@@ -9,6 +9,7 @@ from homography_servo.result import Rejected
 from homography_servo.tracking.examine import Target
 from homography_servo.tracking.finder import find_face
 from homography_servo.tracking.follower import Follower
+from homography_servo.tracking.follower import GIVEN_SHAPE_SIGMA_PX
 from homography_servo.tracking.motion import shape_prior
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import Quality
@@ -19,7 +20,6 @@ from homography_servo.tracking.tracker_settings import TrackerSettings
 import numpy as np
 
 SEARCHING, TRACKING, COASTING, LOST = 'SEARCHING', 'TRACKING', 'COASTING', 'LOST'
-GIVEN_SHAPE_SIGMA_PX = 4.0  # of corners that a person or the arm gives
 
 
 class Track(NamedTuple):
