@@ -90,7 +90,7 @@ def children_of(config: Config, folder: Path, namespace: str, log_level: str,
         # An empty section would be refused; an empty list means not set, as in the file.
         given = {node: {key: value for key, value in config.values(node).items() if value != []}
                  for node in nodes}
-        sections = {f'/**/{node}': {'ros__parameters': values}
+        sections = {'/**' if len(nodes) == 1 else f'/**/{node}': {'ros__parameters': values}
                     for node, values in given.items() if values}
         if sections:
             file = folder / f'{name}.yaml'
