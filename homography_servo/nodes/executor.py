@@ -105,12 +105,9 @@ class PromptExecutor(SingleThreadedExecutor):
         before, self._held = self._held, ExitStack()
         for kind, pairs in entities.items():
             for item, take in pairs:
-                try:
-                    self._held.enter_context(item.handle)
-                except InvalidHandle:  # destroyed just now
-                    continue
-                self._waited_for.append((getattr(waiting, f'add_{kind}'), item.handle))
-                self._takers[kind][item.handle.pointer] = take, item
+                if _succeeds(self._held.enter_context, item.handle):
+                    self._waited_for.append((getattr(waiting, f'add_{kind}'), item.handle))
+                    self._takers[kind][item.handle.pointer] = take, item
         before.close()
 
     def _ready(self, timeout_s: float) -> list[tuple[Callable, Any]]:
@@ -133,17 +130,18 @@ class PromptExecutor(SingleThreadedExecutor):
     def _take_status(self) -> None:
         """Run what tells of the state of the middleware."""
         waitables = [item for node in self._served for item in node.waitables]
-        if not waitables:
-            return
-        waiting = rclpy_implementation.WaitSet(0, 0, 0, 0, 0, len(waitables),
-                                               self._context.handle)
-        waiting.clear_entities()
-        for waitable in waitables:
-            waitable.add_to_wait_set(waiting)
-        waiting.wait(0)
-        for waitable in waitables:
-            if waitable.is_ready(waiting):
-                _run(self._take_waitable, waitable)
+        with ExitStack() as held:
+            waitables = [item for item in waitables if _succeeds(held.enter_context, item)]
+            waiting = rclpy_implementation.WaitSet(0, 0, 0, 0, 0, len(waitables),
+                                                   self._context.handle)
+            waiting.clear_entities()
+            waitables = [item for item in waitables if _succeeds(item.add_to_wait_set, waiting)]
+            if not waitables:
+                return
+            waiting.wait(0)
+            for waitable in waitables:
+                if waitable.is_ready(waiting):
+                    _run(self._take_waitable, waitable)
 
 
 def executor_for(node: Node) -> SingleThreadedExecutor:
@@ -155,6 +153,15 @@ def executor_for(node: Node) -> SingleThreadedExecutor:
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
     return executor
+
+
+def _succeeds(use: Callable[[Any], Any], argument: Any) -> bool:
+    """Use something that another thread may destroy; False where it just has."""
+    try:
+        use(argument)
+    except InvalidHandle:
+        return False
+    return True
 
 
 def _run(take: Callable[[Any], Callable[[], Coroutine] | None], entity: Any) -> None:

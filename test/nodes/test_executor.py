@@ -7,7 +7,8 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2')
 
-from homography_servo.nodes.executor import executor_for  # noqa: E402,I100
+from homography_servo.nodes import executor as executor_module  # noqa: E402,I100
+from homography_servo.nodes.executor import executor_for  # noqa: E402
 from homography_servo.nodes.executor import PromptExecutor  # noqa: E402
 from homography_servo.nodes.kit import DEFAULT  # noqa: E402
 from homography_servo.nodes.kit import LATCHED  # noqa: E402
@@ -131,8 +132,9 @@ def test_a_timer_that_another_destroys_is_not_run(served):
     assert ran == [1]
 
 
-def test_what_another_thread_destroys_may_be_waited_for(served, probe):
+def test_what_another_thread_destroys_may_be_waited_for(served, probe, monkeypatch):
     node, executor = served
+    monkeypatch.setattr(executor_module, 'STATUS_PERIOD_S', 0.0)  # look at it every time
     publisher = probe.node.create_publisher(String, 'words', DEFAULT)
     ending, heard = threading.Event(), []
 
