@@ -22,6 +22,7 @@ from homography_servo.launch.config import Config
 from homography_servo.launch.config import override
 from homography_servo.launch.config import read_config
 from homography_servo.launch.config import shown_config
+from homography_servo.launch.registry import CHAIN
 from homography_servo.launch.registry import programs_of
 from homography_servo.launch.supervisor import Child
 from homography_servo.launch.supervisor import Supervisor
@@ -109,6 +110,11 @@ def main(args: Sequence[str] | None = None) -> int:
     if isinstance(config, list):
         for error in config:
             print(error, file=sys.stderr)
+        return EXIT_CONFIG
+    missing = [name for name in CHAIN if name not in config.nodes]
+    if options.one_process and missing:
+        print(ConfigError(config.file, 0, '--one-process', f'needs {", ".join(missing)}'),
+              file=sys.stderr)
         return EXIT_CONFIG
     if options.print_config:
         print(shown_config(config))

@@ -30,12 +30,13 @@ def node_type(name: str) -> type:
 
 def programs_of(nodes: Iterable[str], one_process: bool) -> dict[str, tuple[str, ...]]:
     """Give the programs that run some nodes, each with its nodes, in their order."""
-    names = tuple(nodes)
-    chained = tuple(name for name in names if name in CHAIN)
-    if not one_process or chained != CHAIN:
-        return {name: (name,) for name in names}
-    return {CHAIN_PROGRAM if name == CHAIN[0] else name: CHAIN if name == CHAIN[0] else (name,)
-            for name in names if name not in CHAIN[1:]}
+    programs: dict[str, tuple[str, ...]] = {}
+    for name in nodes:
+        if one_process and name in CHAIN:
+            programs[CHAIN_PROGRAM] = CHAIN
+        else:
+            programs[name] = (name,)
+    return programs
 
 
 def settings_types(name: str) -> tuple:

@@ -23,8 +23,6 @@ from rclpy.node import Node
 from rclpy.task import Task
 
 STATUS_PERIOD_S = 1.0
-_LISTS = {'service': 'services', 'client': 'clients', 'timer': 'timers',
-          'subscription': 'subscriptions', 'guard_condition': 'guards'}
 
 
 class PromptExecutor(SingleThreadedExecutor):
@@ -88,12 +86,14 @@ class PromptExecutor(SingleThreadedExecutor):
     def _gather(self) -> None:
         """List what the node has now."""
         self._stale = False
-        kinds: tuple[tuple[str, Callable], ...] = (
-            ('service', self._take_service), ('client', self._take_client),
-            ('timer', self._take_due_timer), ('subscription', self._take_subscription),
-            ('guard_condition', self._take_guard_condition))
-        entities = {kind: [(item, take) for node in self._served
-                           for item in getattr(node, _LISTS[kind])] for kind, take in kinds}
+        kinds: tuple[tuple[str, str, Callable], ...] = (
+            ('service', 'services', self._take_service),
+            ('client', 'clients', self._take_client),
+            ('timer', 'timers', self._take_due_timer),
+            ('subscription', 'subscriptions', self._take_subscription),
+            ('guard_condition', 'guards', self._take_guard_condition))
+        entities = {kind: [(item, take) for node in self._served for item in getattr(node, listed)]
+                    for kind, listed, take in kinds}
         own = [self._guard.handle, self._sigint_gc.handle]
         self._wait_set = waiting = rclpy_implementation.WaitSet(
             len(entities['subscription']), len(entities['guard_condition']) + len(own),

@@ -155,9 +155,9 @@ def run_nodes(node_types: Sequence[type], args: Sequence[str] | None, about: str
 
 
 def _run(node_types: Sequence[type], watch: SignalWatch) -> int:
-    topics = LocalTopics()
+    topics = LocalTopics() if len(node_types) > 1 else None
     try:
-        nodes = [_made(kind, topics if len(node_types) > 1 else None) for kind in node_types]
+        nodes = [_made(kind, topics) for kind in node_types]
         executor = _executor(nodes, topics)
     except (ConfigError, *_BAD_PARAMETER) as error:
         return _say(error, EXIT_CONFIG)
@@ -185,8 +185,8 @@ def _made(kind: type, topics: LocalTopics | None) -> Any:
     return kind() if topics is None else type(kind.__name__, (kind,), {'local': topics})()
 
 
-def _executor(nodes: list, topics: LocalTopics) -> SingleThreadedExecutor:
-    if len(nodes) == 1:
+def _executor(nodes: list, topics: LocalTopics | None) -> SingleThreadedExecutor:
+    if topics is None:
         return executor_for(nodes[0])
     if heard_twice(nodes[0]):
         raise ConfigError(os.environ[PROFILE], 0, '', 'with this profile or middleware a process '

@@ -9,7 +9,9 @@ from homography_servo.launch.config import override
 from homography_servo.launch.config import read_config
 from homography_servo.launch.config import rules_of_node
 from homography_servo.launch.config import shown_config
+from homography_servo.launch.registry import CHAIN
 from homography_servo.launch.registry import NODES
+from homography_servo.launch.registry import programs_of
 from homography_servo.launch.registry import settings_types
 from homography_servo.settings import rules_of
 import pytest
@@ -136,3 +138,12 @@ def test_bringup_ends_with_2_before_anything_starts(tmp_path, capsys):
     assert main(['--only', 'who', '--config', 'sim.yaml']) == 2
     assert main(['--print-config', '--config', 'sim.yaml']) == 0
     assert yaml.safe_load(capsys.readouterr().out)['path_planner']['poses'] == 31
+
+
+def test_one_process_takes_the_chain_in_any_order_and_says_what_is_missing(capsys):
+    others = ('camera_sim', 'robix_bridge')
+    mixed = ['camera_sim', *reversed(CHAIN), 'robix_bridge']
+    assert programs_of(mixed, True) == {'servo_chain': CHAIN, **{n: (n,) for n in others}}
+    assert programs_of(mixed, False) == {name: (name,) for name in mixed}
+    assert main(['--config', 'sim.yaml', '--one-process', '--only', *CHAIN[1:]]) == 2
+    assert '--one-process: needs snake_tracker' in capsys.readouterr().err
