@@ -13,7 +13,6 @@ from homography_servo.result import Rejected
 import numpy as np
 
 KEPT_LOOKS = 64
-FUTURE_S = 0.5  # an image newer than the newest joint state by more is not believed
 
 
 class StampedLook(NamedTuple):

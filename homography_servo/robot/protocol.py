@@ -30,7 +30,6 @@ FRAMING_NAMES = {BAD_CRC: 'crc', BAD_LENGTH: 'length', BAD_ASCII: 'ascii'}
 NOTICES = ('READY', 'ESTOP', 'WATCHDOG')
 STATES = ('IDLE', 'WORKING', 'STOPPED')
 
-_HEX = b'0123456789ABCDEF'
 _SPLIT = re.compile(rb'[\n\x18]')
 _NOT_TEXT = re.compile(rb'[^\x20-\x7e\t]')
 
