@@ -32,6 +32,7 @@ class ArmThread:
         os.set_blocking(self._writer, False)
         self._thread = threading.Thread(target=self._run, name='arm', daemon=True)
         self.longest_turn_s = 0.0
+        self._turned_s = 0.0
         self.error: Exception | None = None
 
     def start(self) -> None:
@@ -66,7 +67,8 @@ class ArmThread:
                 self.error = error
                 self._driver.stop_now(f'internal error: {error}')
                 self._ended.wait(0.1)
-            self.longest_turn_s = max(self.longest_turn_s, time.monotonic() - start_s)
+            self._turned_s = time.monotonic()
+            self.longest_turn_s = max(self.longest_turn_s, self._turned_s - start_s)
             self._sleep()
 
     def _sleep(self) -> None:
@@ -81,4 +83,5 @@ class ArmThread:
             return
         if self._reader in ready:
             os.read(self._reader, 4096)
-            time.sleep(SHORTEST_S)  # a flood of wakes must not become a flood of turns
+            # A flood of wakes must not become a flood of turns.
+            time.sleep(max(self._turned_s + SHORTEST_S - time.monotonic(), 0.0))

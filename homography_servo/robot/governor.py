@@ -5,6 +5,46 @@ from __future__ import annotations
 import numpy as np
 
 
+class StepRoom:
+    """
+    How far each servo may go from one target to the next, by the times between them.
+
+    A joint that makes less than one unit in the shortest of these times takes one when it
+    has stood long enough for it: it would never move otherwise.
+
+    Parameters
+    ----------
+    speed_units_s : (n,) array
+        Largest speed of each servo.
+    shortest_s : float
+        Usual shortest time between two targets.
+    now_s : float
+        When the servos were last told something.
+
+    """
+
+    def __init__(self, speed_units_s: np.ndarray, shortest_s: float, now_s: float) -> None:
+        self._speed = speed_units_s
+        self._crawls = speed_units_s * shortest_s < 1.0
+        self.start(now_s)
+
+    def start(self, now_s: float) -> None:
+        """Count from now."""
+        self._last_s = float(now_s)
+        self._changed_s = np.full(len(self._speed), float(now_s))
+
+    def at(self, now_s: float) -> np.ndarray:
+        """Give the largest steps (n,) from the last target to one that goes out now."""
+        room = self._speed * max(now_s - self._last_s, 0.0)
+        due = self._crawls & (self._speed * (now_s - self._changed_s) >= 1.0)
+        return np.where(due, np.maximum(room, 1.0), room)
+
+    def took(self, way: np.ndarray, now_s: float) -> None:
+        """Take note of a target that went out, so many units (n,) from the last one."""
+        self._last_s = float(now_s)
+        self._changed_s[way != 0] = now_s
+
+
 class Governor:
     """
     Let out only targets that the limits allow, whatever came before this point.
@@ -15,15 +55,17 @@ class Governor:
         Servo positions allowed.
     speed_units_s : (n,) array
         Largest distance of two targets per second between them.
+    shortest_s : float
+        Usual shortest time between two targets.
 
     """
 
-    def __init__(self, low: np.ndarray, high: np.ndarray, speed_units_s: np.ndarray) -> None:
+    def __init__(self, low: np.ndarray, high: np.ndarray, speed_units_s: np.ndarray,
+                 shortest_s: float) -> None:
         self._low = low
         self._high = high
-        self._speed = speed_units_s
+        self._room = StepRoom(speed_units_s, shortest_s, 0.0)
         self._last: np.ndarray | None = None
-        self._last_s = 0.0
         self.held_back = 0  # targets that had to be moved nearer
         self.refused = 0  # targets that must never have come here
 
@@ -35,7 +77,7 @@ class Governor:
     def start(self, units: np.ndarray, now_s: float) -> None:
         """Begin at where the arm stands."""
         self._last = np.array(units)
-        self._last_s = now_s
+        self._room.start(now_s)
 
     def forget(self) -> None:
         """Forget the last target: something else has moved the arm."""
@@ -61,13 +103,13 @@ class Governor:
         way = units - self._last
         if not way.any():
             return None
-        room = self._speed * max(now_s - self._last_s, 0.0)
+        room = self._room.at(now_s)
         share = float(np.min(np.where(way == 0, np.inf, room / np.maximum(np.abs(way), 1))))
         if share < 1.0:
             self.held_back += 1
             way = np.trunc(share * way).astype(int)
             if not way.any():
                 return None
-        target = self._last + way
-        self._last, self._last_s = target, now_s
-        return target
+        self._room.took(way, now_s)
+        self._last = self._last + way
+        return self._last

@@ -49,7 +49,8 @@ class Mover:
     period_s : float
         Time between two targets of a stream.
     shortest_s : float
-        Least time before the first target of a new trajectory.
+        Least time between two targets: when a new trajectory comes, or when the last one
+        did not differ by a whole servo unit.
 
     """
 
@@ -57,14 +58,16 @@ class Mover:
                  shortest_s: float) -> None:
         self.limits = limits_of(robot, margin_rad)
         self.estimate = ArmEstimate()
-        self.governor = Governor(*unit_range(robot, margin_rad), velocity_units_s(robot))
+        self.governor = Governor(*unit_range(robot, margin_rad), velocity_units_s(robot),
+                                 shortest_s)
         self.standing_by = False  # the device was told to pause
         self.next_due_s = 0.0
         self._link = link
         self._margin_rad = margin_rad
         self._period_s, self._shortest_s = period_s, shortest_s
         self._streamed_s = -math.inf  # when the last target was due
-        self._targets = TargetStream(robot, np.zeros(robot.count), 0.0, margin_rad, period_s)
+        self._targets = TargetStream(robot, np.zeros(robot.count), 0.0, margin_rad, period_s,
+                                     shortest_s)
         self._wire: ServoWire | None = None
         self._pace: np.ndarray | None = None
         self._motion: _Motion | None = None
@@ -194,11 +197,12 @@ class Mover:
         motion = self._streamed()
         if motion is None or now_s < self.next_due_s or self._unanswered_seq or self._pace_seq:
             return  # a target would throw the pace out of the queue of the device
-        self.next_due_s = max(self.next_due_s + self._period_s, now_s + self._shortest_s)
-        self._streamed_s = now_s
         wanted = self._targets.step(now_s)
         target = self.governor.step(wanted.units, now_s)
+        due_s, self.next_due_s = self.next_due_s, now_s + self._shortest_s
         if target is not None:
+            self.next_due_s = max(due_s + self._period_s, self.next_due_s)
+            self._streamed_s = now_s
             seq = self._link.request(self.wire.goto(target), motion=True)
             motion.seq = self._unanswered_seq = seq
         elif wanted.done and not motion.seq:

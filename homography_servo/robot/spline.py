@@ -8,6 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 _SAMPLES = np.linspace(0.0, 1.0, 33)
+# Position, velocity, acceleration: factor times time to the power.
+_FACTORS = np.array([[1, 1, 1, 1, 1, 1], [0, 1, 2, 3, 4, 5], [0, 0, 2, 6, 12, 20]], dtype=float)
+_POWERS = np.array([[0, 1, 2, 3, 4, 5], [0, 0, 1, 2, 3, 4], [0, 0, 0, 1, 2, 3]], dtype=float)
+_DENSE = np.moveaxis(_FACTORS * _SAMPLES[:, None, None] ** _POWERS, 1, 0)  # (3, 33, 6)
 
 
 class Sample(NamedTuple):
@@ -72,44 +76,42 @@ class Spline:
         return Sample(positions, state.velocities * moving, state.accelerations * moving)
 
     def _evaluate(self, piece: np.ndarray, since_s: np.ndarray) -> Sample:
-        t = np.asarray(since_s)[..., None]
-        c = [self._pieces[power][piece] for power in range(6)]
-        return Sample(
-            c[0] + t * (c[1] + t * (c[2] + t * (c[3] + t * (c[4] + t * c[5])))),
-            c[1] + t * (2 * c[2] + t * (3 * c[3] + t * (4 * c[4] + t * 5 * c[5]))),
-            2 * c[2] + t * (6 * c[3] + t * (12 * c[4] + t * 20 * c[5])))
+        weights = _FACTORS * np.asarray(since_s)[..., None, None] ** _POWERS
+        state = weights @ self._pieces[piece]
+        return Sample(state[..., 0, :], state[..., 1, :], state[..., 2, :])
 
     def dense(self) -> Sample:
         """Sample every piece at both ends and between; each field is (K - 1, 33, n)."""
-        piece = np.arange(len(self._spans))[:, None] + np.zeros(len(_SAMPLES), dtype=int)
-        return self._evaluate(piece, self._spans[:, None] * _SAMPLES)
+        span = self._spans[:, None, None]
+        whole = self._pieces * span ** _POWERS[0][:, None]
+        return Sample(_DENSE[0] @ whole, _DENSE[1] @ whole / span, _DENSE[2] @ whole / span ** 2)
 
 
 def _pieces(knots: Knots, span: np.ndarray) -> np.ndarray:
-    """Fit the pieces to their ends; (6, K - 1, n), power by power."""
+    """Fit the pieces to their ends; (K - 1, 6, n), power by power."""
     position = np.asarray(knots.positions, dtype=float)
-    pieces = np.zeros((6, len(span), position.shape[1]))
-    pieces[0] = position[:-1]
+    pieces = np.zeros((len(span), 6, position.shape[1]))
+    pieces[:, 0] = position[:-1]
     step = np.diff(position, axis=0)
     if knots.velocities is None:
-        pieces[1] = step / span
+        pieces[:, 1] = step / span
         return pieces
     velocity = np.asarray(knots.velocities, dtype=float)
     v0, v1 = velocity[:-1], velocity[1:]
-    pieces[1] = v0
+    pieces[:, 1] = v0
     if knots.accelerations is None:
-        pieces[2] = (3.0 * step / span - 2.0 * v0 - v1) / span
-        pieces[3] = (v0 + v1 - 2.0 * step / span) / span**2
+        pieces[:, 2] = (3.0 * step / span - 2.0 * v0 - v1) / span
+        pieces[:, 3] = (v0 + v1 - 2.0 * step / span) / span**2
         return pieces
     acceleration = np.asarray(knots.accelerations, dtype=float)
     a0, a1 = acceleration[:-1], acceleration[1:]
     rest = step - span * (v0 + 0.5 * span * a0)
     slope = (v1 - v0 - span * a0) * span
     bend = (a1 - a0) * span**2
-    pieces[2] = 0.5 * a0
-    pieces[3] = (10.0 * rest - 4.0 * slope + 0.5 * bend) / span**3
-    pieces[4] = (-15.0 * rest + 7.0 * slope - bend) / span**4
-    pieces[5] = (6.0 * rest - 3.0 * slope + 0.5 * bend) / span**5
+    pieces[:, 2] = 0.5 * a0
+    pieces[:, 3] = (10.0 * rest - 4.0 * slope + 0.5 * bend) / span**3
+    pieces[:, 4] = (-15.0 * rest + 7.0 * slope - bend) / span**4
+    pieces[:, 5] = (6.0 * rest - 3.0 * slope + 0.5 * bend) / span**5
     return pieces
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from homography_servo.robot.governor import StepRoom
 from homography_servo.robot.robot_model import Robot
 from homography_servo.robot.servo_units import from_units
 from homography_servo.robot.servo_units import to_units
@@ -16,8 +17,6 @@ import numpy as np
 _HALVINGS = 7
 # A process that slept goes on from where it was, it does not jump after the clock.
 _LONGEST_STEP_S = 0.1
-# Joints that make less than one unit in this time may make one in a single step.
-_USUAL_STEP_S = 0.02
 
 
 class Target(NamedTuple):
@@ -52,26 +51,25 @@ class TargetStream:
         The time of any steady clock.
     margin_rad : float
         Margin of the limits at which rounding goes inwards.
-    period_s : float
-        Usual time between two steps.
+    period_s, shortest_s : float
+        Usual and shortest time between two steps.
 
     """
 
-    def __init__(self, robot: Robot, units: np.ndarray, now_s: float,
-                 margin_rad: float = 0.0, period_s: float = _USUAL_STEP_S) -> None:
+    def __init__(self, robot: Robot, units: np.ndarray, now_s: float, margin_rad: float = 0.0,
+                 period_s: float = 0.02, shortest_s: float = 0.02) -> None:
         self._robot = robot
         self._margin_rad = margin_rad
         self._period_s = period_s
-        self._speed = velocity_units_s(robot)
-        self._crawls = self._speed * _USUAL_STEP_S < 1.0
+        self._room = StepRoom(velocity_units_s(robot), shortest_s, now_s)
         self._range = unit_range(robot, margin_rad)
         self.restart(units, now_s)
 
     def restart(self, units: np.ndarray, now_s: float) -> None:
         """Stand still where the servos are told to be, as after a stop of the device."""
         self._units = np.array(units, dtype=int)
-        self._changed_s = np.full(self._robot.count, float(now_s))
-        self._now_s = self._stepped_s = float(now_s)
+        self._room.start(now_s)
+        self._now_s = float(now_s)
         self._trajectory: Trajectory | None = None
         self._joints = from_units(self._robot, self._units)
         self._path_s = self._late_s = 0.0
@@ -112,11 +110,10 @@ class TargetStream:
         passed_s = max(now_s - self._now_s, 0.0)
         self._now_s = max(float(now_s), self._now_s)
         if self._trajectory is None:
-            self._stepped_s = self._now_s
+            self._room.took(np.zeros(self._robot.count), self._now_s)
             return self._target()
         units, advance_s = self._reachable(self._trajectory, min(passed_s, _LONGEST_STEP_S))
-        self._stepped_s = self._now_s
-        self._changed_s[units != self._units] = self._now_s
+        self._room.took(units - self._units, self._now_s)
         self._units = units
         self._path_s += advance_s
         self._late_s += passed_s - advance_s
@@ -163,7 +160,4 @@ class TargetStream:
 
     def _allowed(self) -> np.ndarray:
         """Give the largest step (n,) that each servo may make now."""
-        allowed = self._speed * (self._now_s - self._stepped_s)
-        # A joint that needs several steps for one unit takes it when its time has come.
-        due = self._crawls & (self._speed * (self._now_s - self._changed_s) >= 1.0)
-        return np.where(due, np.maximum(allowed, 1.0), allowed) + 1e-9
+        return self._room.at(self._now_s) + 1e-9

@@ -20,23 +20,34 @@ from homography_servo.robot.servo_units import from_units
 from homography_servo.robot.servo_units import to_units
 from homography_servo.robot.servo_units import unit_range
 from homography_servo.robot.servo_units import velocity_units_s
+from homography_servo.robot.session import BITS_PER_BYTE
 import numpy as np
 
 FASTEST_HZ = 50.0
-LINE_SHARE = 0.6  # of the line's bytes per second that periodic traffic may take
-CYCLE_BYTES = 75  # OK, STOPPED and POS for one target and one question
+LEAST_GAP_S = 0.005  # a quarter of the usual tick of the device
+LINE_SHARE = 0.7  # of the line's bytes per second that periodic traffic may take
+# To the device and back, six servos, the longest numbers.
+TARGET_BYTES = (53, 33)  # !goto; OK and STOPPED
+QUESTION_BYTES = (16, 54)  # ?pos; POS
 MOST_JOINTS = 16
 _ROOM = MAX_LINE - TAIL - 6  # characters of a line without number and CRC
 
 
 def rate_for(baud: int) -> float:
-    """Give how often per second targets and positions can pass a line."""
-    return min(FASTEST_HZ, 1.0 / shortest_gap_s(baud))
+    """Give how often per second both targets and positions can pass a line."""
+    longest = max(target + question for target, question in zip(TARGET_BYTES, QUESTION_BYTES))
+    return min(FASTEST_HZ, _free_bytes_s(baud) / longest)
 
 
 def shortest_gap_s(baud: int) -> float:
-    """Give how soon after another a target may follow without filling the line."""
-    return 10.0 * CYCLE_BYTES / (LINE_SHARE * baud)
+    """Give how soon after another a target may follow, with positions asked for as ever."""
+    gaps_s = [target / (_free_bytes_s(baud) - question * rate_for(baud))
+              for target, question in zip(TARGET_BYTES, QUESTION_BYTES)]
+    return max(LEAST_GAP_S, *gaps_s)
+
+
+def _free_bytes_s(baud: int) -> float:
+    return LINE_SHARE * baud / BITS_PER_BYTE
 
 
 class ServoWire:

@@ -12,6 +12,7 @@ from homography_servo.robot.driver import DriverSettings
 from homography_servo.robot.protocol import encode_line
 from homography_servo.robot.protocol import Request
 from homography_servo.robot.trajectory import TrajectoryPoint
+from homography_servo.robot.wire import LINE_SHARE
 from homography_servo.robot.wire import rate_for
 from homography_servo.robot.wire import ServoWire
 from homography_servo.robot.wire import shortest_gap_s
@@ -583,9 +584,23 @@ def test_no_turn_takes_long_while_the_line_fails_all_the_time():
     assert longest < 1.0 and rig.state == 'DISCONNECTED' or rig.state.startswith('LATCHED')
 
 
-@pytest.mark.parametrize('baud, rate', [(115200, 50.0), (9600, 7.68), (1200, 0.96)])
-def test_the_stream_fits_the_line(baud, rate):
-    assert rate_for(baud) == pytest.approx(rate)
+@pytest.mark.parametrize('baud, rate, gap_s', [
+    (1000000, 50.0, 0.005), (115200, 50.0, 0.0073), (9600, 7.72, 0.1295), (1200, 0.966, 1.036)])
+def test_the_stream_fits_the_line(baud, rate, gap_s):
+    assert rate_for(baud) == pytest.approx(rate, rel=1e-3)
+    assert shortest_gap_s(baud) == pytest.approx(gap_s, rel=1e-3)
+
+
+@pytest.mark.parametrize('baud', [115200, 9600])
+def test_commands_that_keep_coming_leave_room_on_the_line(baud):
+    rig = Rig(settings=DriverSettings(baud=baud), step_s=0.002).run(0.3)
+    start_s = rig.now_s
+    while rig.now_s < start_s + 3.0:
+        rig.driver.offer(lambda now_s: rig.driver.go([0.9 * np.sin(now_s)] * 6, now_s))
+        rig.turn()
+    to_device = sum(len(data) for time_s, data in rig.log if time_s > start_s) / 3.0
+    assert 0.3 * baud / 10.0 < to_device < LINE_SHARE * baud / 10.0
+    assert Judge().watch(rig.log).violations == []
 
 
 def test_at_9600_baud_it_moves_too():

@@ -24,7 +24,7 @@ LOW, HIGH, SPEED = np.array([-100, -50]), np.array([100, 50]), np.array([1000.0,
 
 
 def governor():
-    gate = Governor(LOW, HIGH, SPEED)
+    gate = Governor(LOW, HIGH, SPEED, 0.01)
     gate.start(np.array([0, 0]), 10.0)
     return gate
 
@@ -61,8 +61,20 @@ def test_whatever_comes_two_targets_are_never_too_far_apart(seed):
             last, last_s = target, now_s
 
 
+def test_a_servo_slower_than_a_unit_a_step_takes_one_when_it_is_due():
+    gate = Governor(np.array([-100, -100]), np.array([100, 100]), np.array([1000.0, 60.0]), 0.007)
+    gate.start(np.array([0, 0]), 0.0)
+    target = np.array([0, 0])
+    for k in range(1, 13):
+        due = k % 3 == 0  # 0.021 s for a unit that takes 0.017
+        target = gate.step(target + [5, due], 0.007 * k)
+        assert list(target) == [5 * k, k // 3] and gate.held_back == 0
+    assert gate.step(target + [0, 1], 0.099) is None  # not due yet
+    assert list(gate.step(target + [0, 1], 0.101)) == [60, 5]
+
+
 def test_before_it_knows_where_the_arm_is_nothing_passes():
-    gate = Governor(LOW, HIGH, SPEED)
+    gate = Governor(LOW, HIGH, SPEED, 0.01)
     assert gate.step(np.array([1, 1]), 10.0) is None
     gate = governor()
     gate.forget()

@@ -85,18 +85,21 @@ def test_never_too_fast_and_never_outside_with_a_clock_that_stumbles(settings):
     assert np.ptp([units for _, units in sent], axis=0).min() > 1500  # it did move
 
 
-def test_a_joint_slower_than_a_unit_a_step_still_arrives():
-    robot = changed_joint(ROBOT, 0, velocity_rad_s=0.01)
+@pytest.mark.parametrize('speed_rad_s', [0.01, 0.06])
+@pytest.mark.parametrize('step_s', [0.02, 0.008])
+def test_a_joint_slower_than_a_unit_a_step_loses_little_time(speed_rad_s, step_s):
+    robot = changed_joint(ROBOT, 0, velocity_rad_s=speed_rad_s)
     limits = limits_of(robot, MARGIN)
-    targets = TargetStream(robot, np.zeros(6, dtype=int), 0.0, MARGIN)
-    targets.follow(go_to(limits, np.full(6, 0.05), targets.state), 0.0)
+    targets = TargetStream(robot, np.zeros(6, dtype=int), 0.0, MARGIN, 0.02, step_s)
+    trajectory = go_to(limits, np.full(6, 0.05), targets.state)
+    targets.follow(trajectory, 0.0)
     sent, now_s = [], 0.0
     while targets.trajectory is not None and now_s < 60.0:
-        now_s += 0.02
+        now_s += step_s
         sent.append((now_s, targets.step(now_s).units))
     np.testing.assert_array_equal(sent[-1][1], to_units(robot, np.full(6, 0.05)))
     assert too_fast(sent, robot, free_units=1) <= 1.0 + 1e-9
-    assert now_s < 9.0
+    assert now_s < 1.6 * trajectory.duration_s
 
 
 def test_waiting_joints_wait_together_and_it_is_said():
