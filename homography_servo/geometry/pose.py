@@ -15,6 +15,7 @@ import math
 from homography_servo.geometry.camera_model import Camera
 from homography_servo.geometry.pose_refine import Fit
 from homography_servo.geometry.pose_refine import refine
+from homography_servo.geometry.pose_refine import same_minimum
 from homography_servo.geometry.pose_refine import Views
 from homography_servo.geometry.pose_start import FAULTS
 from homography_servo.geometry.pose_start import mirrored_rotation
@@ -26,8 +27,6 @@ from homography_servo.geometry.rigid import pose_difference
 from homography_servo.result import Rejected
 import numpy as np
 from scipy.linalg import lapack
-
-SAME_MINIMUM = 0.25  # squared distance, in units of the covariance, below which two minima are one
 
 
 @dataclass(frozen=True)
@@ -214,15 +213,6 @@ def _residuals_px(fit: Fit, views: Views, px_per_ray: np.ndarray) -> list[float]
     else:
         error_px = (px_per_ray[0] * error[:, None]).sum(axis=2)
     return np.sqrt((error_px * error_px).sum(axis=(1, 2)) / error.shape[2]).tolist()
-
-
-def same_minimum(fit: Fit, i: int, j: int) -> bool:
-    """Tell whether two fits are one minimum: nearer than their uncertainty."""
-    (_, xy, xz), (yx, _, yz), (zx, zy, _) = turn = (fit.rotation[i] @ fit.rotation[j].T).tolist()
-    difference = np.array([*(fit.translation_m[i] - fit.translation_m[j]).tolist(),
-                           0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy)])
-    return bool(turn[0][0] + turn[1][1] + turn[2][2] > 1.0
-                and difference @ fit.normal[i] @ difference < SAME_MINIMUM)
 
 
 def _chosen(candidates: list[PoseCandidate], prior: Prior | None) -> PoseEstimate | Rejected:

@@ -10,6 +10,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from homography_servo.geometry.stacks import images
+from homography_servo.geometry.stacks import product
+from homography_servo.geometry.stacks import zeros
 import numpy as np
 
 if TYPE_CHECKING:
@@ -36,22 +39,20 @@ def curvature(views: Views, rotation: np.ndarray, translation_m: np.ndarray,
         By translation and rotation vector along the camera's axes.
 
     """
-    turned = rotation @ views.points_m
+    turned = images(rotation, views.points_m)
     camera_m = turned + translation_m[:, :, None]
     depth = camera_m[:, 2:]
     pull = _unwhitened(views, residual.reshape(len(turned), 2, -1))
     # Force on every point: the gradient of half of chi squared by its position.
     along = -(pull * camera_m[:, :2]).sum(axis=1, keepdims=True) / depth
     force = np.concatenate([pull, along], axis=1) / depth
-    axis = np.zeros_like(force)
-    axis[:, 2] = 1.0
     # Position enters through 1 / Z: second derivative -(force axis' + axis force') / Z.
-    mixed = _wrench(turned, force / depth) @ _wrench(turned, axis).swapaxes(-1, -2)
+    mixed = product(_wrench(turned, force / depth), _axial_wrench(turned).swapaxes(-1, -2))
     second = -mixed - mixed.swapaxes(-1, -2)
     # A rotation vector moves a point on an arc: second derivative of the arc times force.
-    arc = force @ turned.swapaxes(-1, -2)
+    arc = product(force, turned.swapaxes(-1, -2))
     second[:, 3:, 3:] += 0.5 * (arc + arc.swapaxes(-1, -2))
-    second[:, 3:, 3:] -= np.trace(arc, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    second[:, 3:, 3:] -= np.einsum('bii->b', arc)[:, None, None] * _EYE
     return second
 
 
@@ -67,7 +68,20 @@ def _unwhitened(views: Views, residual: np.ndarray) -> np.ndarray:
 
 def _wrench(arm: np.ndarray, force: np.ndarray) -> np.ndarray:
     """Give force and moment (B, 6, N) of forces (B, 3, N) that act at arms (B, 3, N)."""
-    x, y, z = (arm[:, i] for i in range(3))
-    fx, fy, fz = (force[:, i] for i in range(3))
-    moment = np.stack([y * fz - z * fy, z * fx - x * fz, x * fy - y * fx], axis=1)
-    return np.concatenate([force, moment], axis=1)
+    wrench = zeros(len(arm), 6, arm.shape[2])
+    wrench[:, :3] = force
+    wrench[:, 3:] = arm[:, _YZX] * force[:, _ZXY] - arm[:, _ZXY] * force[:, _YZX]
+    return wrench
+
+
+def _axial_wrench(arm: np.ndarray) -> np.ndarray:
+    """Do as `_wrench` for forces of one along the optical axis."""
+    wrench = zeros(len(arm), 6, arm.shape[2])
+    wrench[:, 2] = 1.0
+    wrench[:, 3] = arm[:, 1]
+    np.negative(arm[:, 0], out=wrench[:, 4])
+    return wrench
+
+
+_EYE = np.eye(3)
+_YZX, _ZXY = np.array([1, 2, 0]), np.array([2, 0, 1])

@@ -28,6 +28,7 @@ _MAX_STEPS = 40
 _RIDGE = 1e-12  # keeps the normal matrix invertible where the data leave it open
 _COMPACT = 0.3  # share of settled poses that is worth sorting out
 _PATIENCE = 4  # steps of Gauss-Newton before its curvature is completed
+SAME_MINIMUM = 0.25  # squared distance, in units of the covariance, below which two minima are one
 
 
 class Views(NamedTuple):
@@ -81,7 +82,8 @@ def refine(views: Views, rotation: np.ndarray, translation_m: np.ndarray) -> Fit
     Returns
     -------
     Fit
-        The minima; ``chi2`` is ``inf`` where a start had points behind the camera.
+        The minima; ``chi2`` is ``inf`` where a start had points behind the camera, and
+        where it came to the minimum of the other one of the same view.
 
     """
     with np.errstate(all='ignore'):
@@ -160,10 +162,24 @@ def _descend(views: Views, state: Fit) -> Fit:
         settled = _settled(gain, before, state.chi2)
         if settled.all():
             return _arrived(state, step, gain)
+        if len(settled) == 2 and len(views.rays) == 1 and settled.any():
+            done, late = (0, 1) if settled[0] else (1, 0)
+            if same_minimum(state, done, late):
+                gain[late] = -np.inf
+                return _arrived(state, step, gain)
         trial = linearise(views, *moved(state.rotation, state.translation_m, step))
         state, damping = _accept(state, trial, damping, settled)
         before = gain
     return state
+
+
+def same_minimum(fit: Fit, i: int, j: int) -> bool:
+    """Tell whether two poses are one minimum: nearer than the uncertainty of the first."""
+    (_, xy, xz), (yx, _, yz), (zx, zy, _) = turn = (fit.rotation[i] @ fit.rotation[j].T).tolist()
+    difference = np.array([*(fit.translation_m[i] - fit.translation_m[j]).tolist(),
+                           0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy)])
+    return bool(turn[0][0] + turn[1][1] + turn[2][2] > 1.0
+                and difference @ fit.normal[i] @ difference < SAME_MINIMUM)
 
 
 def _descend_many(views: Views, state: Fit) -> Fit:
