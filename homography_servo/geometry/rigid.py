@@ -57,9 +57,7 @@ def transform_points(a_from_b: np.ndarray, points_b: np.ndarray) -> np.ndarray:
 def skew(vector: np.ndarray) -> np.ndarray:
     """Give the (..., 3, 3) matrices that turn a product into a cross product."""
     vector = np.asarray(vector, float)
-    matrix = np.zeros((*vector.shape, 3))
-    matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0] = np.moveaxis(vector, -1, 0)
-    return matrix - np.swapaxes(matrix, -1, -2)
+    return (vector @ _CROSS).reshape(*vector.shape, 3)
 
 
 def exp_twist(twist: np.ndarray) -> np.ndarray:
@@ -82,11 +80,12 @@ def exp_twist(twist: np.ndarray) -> np.ndarray:
 
     """
     twist = _twists(twist)
-    angle_rad = np.linalg.norm(twist[..., 3:], axis=-1)[..., None, None]
     cross = skew(twist[..., 3:])
-    half_sinc = np.sinc(angle_rad / (2.0 * np.pi))
-    spiral = np.eye(3) + 0.5 * half_sinc**2 * cross + _cubic(angle_rad) * (cross @ cross)
-    return transform(_rotations(twist[..., 3:]), (spiral @ twist[..., :3, None])[..., 0])
+    square = cross @ cross
+    first, second, third = _coefficients(np.linalg.norm(twist[..., 3:], axis=-1))
+    spiral = _EYE + second * cross + third * square
+    return transform(_EYE + first * cross + second * square,
+                     (spiral @ twist[..., :3, None])[..., 0])
 
 
 def log_transform(a_from_b: np.ndarray) -> np.ndarray:
@@ -232,16 +231,21 @@ def screw_axis(twist: np.ndarray) -> Screw:
 
 
 def _rotations(vector: np.ndarray) -> np.ndarray:
-    flat = Rotation.from_rotvec(vector.reshape(-1, 3)).as_matrix()
-    return flat.reshape(*vector.shape, 3)
+    cross = skew(vector)
+    first, second, _ = _coefficients(np.linalg.norm(vector, axis=-1))
+    return _EYE + first * cross + second * (cross @ cross)
 
 
-def _cubic(angle_rad: np.ndarray) -> np.ndarray:
-    """Evaluate (x - sin x) / x^3 without cancellation."""
-    squared = angle_rad**2
+def _coefficients(angle_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Evaluate sin x / x, (1 - cos x) / x^2 and (x - sin x) / x^3, (..., 1, 1) each."""
+    angle_rad = np.asarray(angle_rad)[..., None, None]
+    half = np.maximum(0.5 * angle_rad, 1e-150)
+    second = 0.5 * (np.sin(half) / half) ** 2
+    squared = angle_rad ** 2
+    safe = np.maximum(angle_rad, _SMALL_RAD)
     series = 1 / 6 - squared / 120 * (1 - squared / 42 * (1 - squared / 72))
-    safe = np.where(angle_rad < _SMALL_RAD, 1.0, angle_rad)
-    return np.where(angle_rad < _SMALL_RAD, series, (safe - np.sin(safe)) / safe**3)
+    third = np.where(angle_rad < _SMALL_RAD, series, (safe - np.sin(safe)) / safe ** 3)
+    return 1.0 - squared * third, second, third
 
 
 def _cotangent(angle_rad: np.ndarray) -> np.ndarray:
@@ -268,3 +272,9 @@ def _twists(twist: np.ndarray) -> np.ndarray:
     if not np.isfinite(twist).all():
         raise ValueError('twists must be finite')
     return twist
+
+
+_EYE = np.eye(3)
+_CROSS = np.zeros((3, 9))  # v @ _CROSS is the cross product matrix of v, by rows
+_CROSS[0, 7], _CROSS[0, 5], _CROSS[1, 2], _CROSS[1, 6], _CROSS[2, 3], _CROSS[2, 1] = (
+    1.0, -1.0, 1.0, -1.0, 1.0, -1.0)

@@ -8,6 +8,7 @@ it stays the first index, so that every elementwise operation is one long loop.
 
 from __future__ import annotations
 
+from homography_servo.geometry.rigid import skew
 import numpy as np
 from scipy.linalg import lapack
 
@@ -47,7 +48,7 @@ def images(matrices: np.ndarray, columns: np.ndarray) -> np.ndarray:
 def crosses(vectors: np.ndarray) -> np.ndarray:
     """Give the cross product matrices (B, 3, 3) of vectors (B, 3)."""
     if len(vectors) <= FEW:
-        return (vectors @ _CROSS).reshape(-1, 3, 3)
+        return skew(vectors)
     x, y, z = (vectors[:, axis] for axis in range(3))
     matrices = zeros(len(vectors), 3, 3)
     matrices[:, 2, 1], matrices[:, 0, 2], matrices[:, 1, 0] = x, y, z
@@ -109,8 +110,3 @@ def _substitute(lower: np.ndarray, right: np.ndarray) -> np.ndarray:
         x[:, j] -= np.einsum('bk,bkm->bm', lower[:, j + 1:, j], x[:, j + 1:])
         x[:, j] /= lower[:, j, j, None]
     return x
-
-
-_CROSS = np.zeros((3, 9))  # v @ _CROSS is the cross product matrix of v, by rows
-_CROSS[0, 7], _CROSS[0, 5], _CROSS[1, 2], _CROSS[1, 6], _CROSS[2, 3], _CROSS[2, 1] = (
-    1.0, -1.0, 1.0, -1.0, 1.0, -1.0)

@@ -21,6 +21,7 @@ SINGULAR = 0.002  # smallest singular value (m and LENGTH_M rad per rad) without
 DAMPING = 0.002  # as small as the limit of the verdict, conditioning_min * LENGTH_M
 MODEL_STEPS = 12
 LARGEST_MODEL_STEP_RAD = 0.3
+_SCALE = np.array([1.0] * 3 + [LENGTH_M] * 3)
 
 
 class Errors(NamedTuple):
@@ -89,12 +90,28 @@ def damped_step(jacobian: np.ndarray, twist: np.ndarray) -> np.ndarray:
     singular value falls below ``SINGULAR`` (Nakamura and Hanafusa, 1986); elsewhere the
     step is exact.
     """
-    scale = np.array([1.0] * 3 + [LENGTH_M] * 3)
-    left, values, right = np.linalg.svd(jacobian * scale[:, None], full_matrices=False)
+    scaled = jacobian * _SCALE[:, None]
+    exact = _exact_inverse(scaled)
+    if exact is not None:
+        return (exact @ (twist * _SCALE)[..., None])[..., 0]
+    left, values, right = np.linalg.svd(scaled, full_matrices=False)
     damping = DAMPING ** 2 * np.maximum(0.0, 1.0 - (values[..., -1:] / SINGULAR) ** 2)
-    along = (np.swapaxes(left, -1, -2) @ (twist * scale)[..., None])[..., 0]
+    along = (np.swapaxes(left, -1, -2) @ (twist * _SCALE)[..., None])[..., 0]
     factor = values / (values ** 2 + damping)
     return (np.swapaxes(right, -1, -2) @ (factor * along)[..., None])[..., 0]
+
+
+def _exact_inverse(scaled: np.ndarray) -> np.ndarray | None:
+    """Invert Jacobians (..., 6, 6) if that shows all of them to be far from singular."""
+    if scaled.shape[-1] != scaled.shape[-2]:
+        return None
+    try:
+        inverse = np.linalg.inv(scaled)
+    except np.linalg.LinAlgError:
+        return None
+    # The norm of an inverse is at least one over the smallest singular value.
+    squares = np.einsum('...ij,...ij->...', inverse, inverse)
+    return inverse if np.all(squares <= SINGULAR ** -2) else None
 
 
 def joints_for(model: ArmModel, joints_rad: np.ndarray, home_from_goal: np.ndarray) -> np.ndarray:

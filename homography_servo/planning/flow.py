@@ -24,6 +24,7 @@ import numpy as np
 AHEAD = 10  # poses sent at once
 LEAD_S = 0.04  # a pose nearer than this in time is as good as passed
 NEWTON_STEPS = 2
+EXACT_BELOW_RAD = 1e-3  # a step so small leaves less than a thousandth of itself to the next
 ACCELERATION_SHARE = 0.6  # the rest is for bends and for corrections
 LARGEST_STEP_RAD = 0.3
 SHORTEST_S = 1e-3
@@ -174,6 +175,8 @@ class Flow:
             step = damped_step(jacobians, displacement(poses, goals))
             largest = np.abs(step).max(axis=1, keepdims=True)
             joints = joints + step * np.minimum(1.0, LARGEST_STEP_RAD / np.maximum(largest, 1e-9))
+            if largest.max() < EXACT_BELOW_RAD:
+                break
         self._joints_rad = dict(zip(window, joints))
         return joints
 
