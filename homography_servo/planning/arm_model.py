@@ -16,6 +16,7 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Protocol, TypeVar
 
+from homography_servo.geometry.rigid import adjoint
 from homography_servo.geometry.rigid import exp_twist
 from homography_servo.geometry.rigid import skew
 from homography_servo.robot.chain import jacobian_of
@@ -47,6 +48,8 @@ class BodyModel(Protocol):
 
     def moved(self: Body, change: np.ndarray) -> Body: ...
 
+    def error_of(self, slip: np.ndarray) -> np.ndarray: ...
+
     def variances(self, prior: Prior) -> np.ndarray: ...
 
 
@@ -75,6 +78,10 @@ class FreeBody:
     def moved(self, change: np.ndarray) -> FreeBody:
         """Correct L by a small twist."""
         return FreeBody(exp_twist(change) @ self.left)
+
+    def error_of(self, slip: np.ndarray) -> np.ndarray:
+        """Give the change of L that does what a small screw (6,) of the setpoint does."""
+        return adjoint(self.left) @ slip
 
     def variances(self, prior: Prior) -> np.ndarray:
         """Give the (6,) variances before the first look: nothing is known."""
@@ -138,6 +145,10 @@ class ArmModel:
         return replace(self, left=exp_twist(change[:6]) @ self.left,
                        offset_rad=self.offset_rad + change[6:-6],
                        right=self.right @ exp_twist(change[-6:]))
+
+    def error_of(self, slip: np.ndarray) -> np.ndarray:
+        """Give the change of (L, dq, E) that does what a change (n,) of the joints does."""
+        return np.concatenate([np.zeros(6), slip, np.zeros(6)])
 
     def variances(self, prior: Prior) -> np.ndarray:
         """Give the (12 + n,) variances before the first look."""

@@ -26,6 +26,7 @@ from homography_servo.planning.arm_model import Prior
 from homography_servo.planning.control import displacement
 from homography_servo.result import Rejected
 import numpy as np
+from scipy.linalg import lapack
 
 _YZX, _ZXY = [1, 2, 0], [2, 0, 1]
 ITERATIONS = 3
@@ -86,7 +87,7 @@ def look_from_pose(home_from_object: np.ndarray, covariance: np.ndarray, points_
     """
     if not (np.isfinite(home_from_object).all() and np.isfinite(covariance).all()):
         return Rejected('the measured pose or its covariance is not finite')
-    if np.linalg.eigvalsh(0.5 * (covariance + covariance.T))[0] <= 0.0:
+    if lapack.dpotrf(0.5 * (covariance + covariance.T))[1]:
         return Rejected('the covariance of the measured pose is not positive')
     if home_from_object[2, 3] + home_depth_m <= 0.05:
         return Rejected('the measured object is not in front of the camera')
@@ -95,6 +96,18 @@ def look_from_pose(home_from_object: np.ndarray, covariance: np.ndarray, points_
     basis, _ = np.linalg.qr(jacobian)
     blind = np.eye(len(rays)) - basis @ basis.T
     return Look(rays, spread + np.trace(spread) / 6.0 * blind)
+
+
+def _weigh(spread: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, float] | None:
+    """
+    Solve a system with a covariance, and give the logarithm of its determinant.
+
+    None where rounding has left nothing that is positive definite.
+    """
+    factor, solution, indefinite = lapack.dposv(spread, right)
+    if indefinite:
+        return None
+    return solution, 2.0 * float(np.log(factor.diagonal()).sum())
 
 
 class _Expected(NamedTuple):
@@ -167,12 +180,22 @@ class LookFilter(Generic[Body]):
         """Tell whether the last look said what the looks before let expect."""
         return self.surprise <= WIDEN_ABOVE and not self._doubted
 
-    def update(self, look: Look, setpoint: np.ndarray) -> bool:
+    def update(self, look: Look, setpoint: np.ndarray, slip: np.ndarray | None = None) -> bool:
         """
         Take in one look at the object while the model was at a setpoint.
 
         A look that contradicts all before it is left out once; when the next one
         does so too, it is followed.
+
+        Parameters
+        ----------
+        look : Look
+            What was seen.
+        setpoint : array
+            Where the model was then.
+        slip : (n,) array, optional
+            One standard deviation of the setpoint, where it errs along one direction only:
+            that of a motion seen a little earlier or later.
 
         Returns
         -------
@@ -181,27 +204,26 @@ class LookFilter(Generic[Body]):
 
         """
         expected = self._expect(self.model, setpoint)
+        if slip is not None:
+            shift = expected.by_error @ self.model.error_of(slip)
+            look = Look(look.rays, look.covariance + np.outer(shift, shift))
         self._drift_to(setpoint, expected.pose)
-        if not self._believes(look, expected):
-            return False
-        self._correct(look, setpoint, expected)
-        self.looks += 1
-        return True
+        taken = self._believes(look, expected) and self._correct(look, setpoint, expected)
+        self.looks += taken
+        return taken
 
-    def blurred(self, look: Look, setpoint: np.ndarray, twist: np.ndarray) -> Look:
-        """Widen a look by a displacement of the object of which only the size is known."""
-        _, by_twist = rays_of(self.pose(setpoint), self._points_m, self._home_depth_m)
-        shift = by_twist @ twist
-        return Look(look.rays, look.covariance + np.outer(shift, shift))
-
-    def _correct(self, look: Look, setpoint: np.ndarray, expected: _Expected) -> None:
+    def _correct(self, look: Look, setpoint: np.ndarray, expected: _Expected) -> bool:
         change, model = np.zeros(len(self._covariance)), self.model
         for iteration in range(ITERATIONS):
             if iteration:
                 expected = self._expect(model, setpoint)
             by_error = expected.by_error
             innovation = look.rays - expected.rays + by_error @ change
-            gain = self._gain(look, by_error)
+            cross = by_error @ self._covariance
+            weighed = _weigh(cross @ by_error.T + look.covariance, cross)
+            if weighed is None:
+                return False
+            gain = weighed[0].T
             step = gain @ innovation - change
             change = change + step
             model = self.model.moved(change)
@@ -212,10 +234,7 @@ class LookFilter(Generic[Body]):
         self._covariance = (keep @ self._covariance @ keep.T
                             + gain @ look.covariance @ gain.T)
         self.model = model
-
-    def _gain(self, look: Look, by_error: np.ndarray) -> np.ndarray:
-        spread = by_error @ self._covariance @ by_error.T + look.covariance
-        return np.linalg.solve(spread, by_error @ self._covariance).T
+        return True
 
     def _expect(self, model: Body, setpoint: np.ndarray) -> _Expected:
         pose, sensitivity = model.expect(setpoint)
@@ -233,9 +252,13 @@ class LookFilter(Generic[Body]):
     def _believes(self, look: Look, expected: _Expected) -> bool:
         innovation, by_error = look.rays - expected.rays, expected.by_error
         spread = by_error @ self._covariance @ by_error.T + look.covariance
-        squared = float(innovation @ np.linalg.solve(spread, innovation))
+        weighed = _weigh(spread, innovation)
+        if weighed is None:
+            return False
+        solution, log_det = weighed
+        squared = float(innovation @ solution)
         self.surprise = squared / len(innovation)
-        self.misfit += squared + float(np.linalg.slogdet(spread)[1])
+        self.misfit += squared + log_det
         doubted, self._doubted = self._doubted, False
         if self.surprise <= WIDEN_ABOVE or not self.looks:
             return True

@@ -68,8 +68,6 @@ class Looks:
             setpoint = joints.near(stamp_s, AHEAD_S)
             if setpoint is None:
                 continue
-            twist = self._filter.model.posture(setpoint)[1] @ joints.velocity_rad_s
-            blurred = self._filter.blurred(look, setpoint, twist * settings.sync_sigma_s)
-            self._filter.update(blurred, setpoint)
+            self._filter.update(look, setpoint, joints.velocity_rad_s * settings.sync_sigma_s)
             taken += 1
         return taken

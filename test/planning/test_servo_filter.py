@@ -1,6 +1,7 @@
 """Averaging of looks: derivatives, honest covariance, immunity to the mirror."""
 
 from homography_servo.geometry.rigid import displaced
+from homography_servo.geometry.rigid import exp_twist
 from homography_servo.planning.arm_model import ArmModel
 from homography_servo.planning.arm_model import FreeBody
 from homography_servo.planning.control import displacement
@@ -118,3 +119,26 @@ def test_a_moved_camera_is_noticed_and_followed():
         looks.update(look_at(measure(truth.pose(START_RAD))), START_RAD)
     error = displacement(looks.pose(START_RAD), after.pose(START_RAD))
     assert np.linalg.norm(error[:3]) < 3e-3 and np.linalg.norm(error[3:]) < 0.06
+
+
+def test_a_slip_of_the_setpoint_is_an_error_of_the_model():
+    rng = np.random.default_rng(3)
+    arm = ArmModel(ROBOT).moved(0.05 * rng.normal(size=12 + len(START_RAD)))
+    slip = 1e-5 * rng.normal(size=len(START_RAD))
+    np.testing.assert_allclose(arm.moved(arm.error_of(slip)).pose(START_RAD),
+                               arm.pose(START_RAD + slip), atol=1e-9)
+    body, setpoint = FreeBody(wrong_arm(0).left), ArmModel(ROBOT).pose(START_RAD)
+    np.testing.assert_allclose(body.moved(body.error_of(slip)).pose(setpoint),
+                               body.pose(exp_twist(slip) @ setpoint), atol=1e-9)
+
+
+def test_a_look_in_motion_says_little_along_the_motion():
+    measure, slip = camera(4), np.zeros(len(START_RAD))
+    slip[0] = 0.01
+    still, moving = (LookFilter(ArmModel(ROBOT), POINTS, DEPTH) for _ in range(2))
+    look = look_at(measure(ArmModel(ROBOT).pose(START_RAD)))
+    still.update(look, START_RAD)
+    moving.update(look, START_RAD, slip)
+    along = ArmModel(ROBOT).posture(START_RAD)[1] @ slip
+    added = moving.covariance(START_RAD) - still.covariance(START_RAD)
+    assert added[:3, :3].trace() == pytest.approx(along[:3] @ along[:3], rel=0.2)
