@@ -35,9 +35,9 @@ from homography_servo.robot.trajectory import State
 from homography_servo.robot.trajectory import Trajectory
 from homography_servo.robot.trajectory import TrajectoryPoint
 from homography_servo.robot.trajectory import TrajectorySettings
+from homography_servo.robot.wire import Pace
 from homography_servo.robot.wire import rate_for
 from homography_servo.robot.wire import ServoWire
-from homography_servo.robot.wire import shortest_gap_s
 from homography_servo.settings import real
 from homography_servo.settings import Settings
 from homography_servo.settings import whole
@@ -104,7 +104,7 @@ class ArmDriver:
         self._answered = threading.Condition(self._lock)
         self._period_s = 1.0 / rate_for(settings.baud)
         self._mover = Mover(robot, link, settings.joint_margin_rad, self._period_s,
-                            shortest_gap_s(settings.baud))
+                            Pace(settings.baud))
         self._ready = self._was_ready = False
         self._misfit = ''
         self._latch = self._hold = ''

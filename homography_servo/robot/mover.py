@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-import math
 
 from homography_servo.result import Rejected
 from homography_servo.result import required
@@ -18,6 +17,7 @@ from homography_servo.robot.streaming import TargetStream
 from homography_servo.robot.trajectory import State
 from homography_servo.robot.trajectory import stop
 from homography_servo.robot.trajectory import Trajectory
+from homography_servo.robot.wire import Pace
 from homography_servo.robot.wire import ServoWire
 import numpy as np
 
@@ -48,26 +48,25 @@ class Mover:
         Distance to keep from the ends of every joint.
     period_s : float
         Time between two targets of a stream.
-    shortest_s : float
-        Least time between two targets: when a new trajectory comes, or when the last one
-        did not differ by a whole servo unit.
+    pace : Pace
+        When targets may follow each other sooner: when a new trajectory comes, or when the
+        last one did not differ by a whole servo unit.
 
     """
 
     def __init__(self, robot: Robot, link: Link, margin_rad: float, period_s: float,
-                 shortest_s: float) -> None:
+                 pace: Pace) -> None:
         self.limits = limits_of(robot, margin_rad)
         self.estimate = ArmEstimate()
         self.governor = Governor(*unit_range(robot, margin_rad), velocity_units_s(robot),
-                                 shortest_s)
+                                 pace.least_s)
         self.standing_by = False  # the device was told to pause
         self.next_due_s = 0.0
         self._link = link
         self._margin_rad = margin_rad
-        self._period_s, self._shortest_s = period_s, shortest_s
-        self._streamed_s = -math.inf  # when the last target was due
+        self._period_s, self._line = period_s, pace
         self._targets = TargetStream(robot, np.zeros(robot.count), 0.0, margin_rad, period_s,
-                                     shortest_s)
+                                     pace.least_s)
         self._wire: ServoWire | None = None
         self._pace: np.ndarray | None = None
         self._motion: _Motion | None = None
@@ -169,7 +168,7 @@ class Mover:
         self._targets.follow(trajectory, now_s)
         self._arriving = None
         self._motion = _Motion(units, streamed=True, seq=seq)
-        self.next_due_s = min(self.next_due_s, max(now_s, self._streamed_s + self._shortest_s))
+        self.next_due_s = min(self.next_due_s, max(now_s, self._line.next_s()))
 
     def _end_move(self, now_s: float) -> int:
         """
@@ -199,10 +198,10 @@ class Mover:
             return  # a target would throw the pace out of the queue of the device
         wanted = self._targets.step(now_s)
         target = self.governor.step(wanted.units, now_s)
-        due_s, self.next_due_s = self.next_due_s, now_s + self._shortest_s
+        due_s, self.next_due_s = self.next_due_s, now_s + self._line.least_s
         if target is not None:
-            self.next_due_s = max(due_s + self._period_s, self.next_due_s)
-            self._streamed_s = now_s
+            self._line.sent(now_s)
+            self.next_due_s = max(due_s + self._period_s, self._line.next_s())
             seq = self._link.request(self.wire.goto(target), motion=True)
             motion.seq = self._unanswered_seq = seq
         elif wanted.done and not motion.seq:

@@ -25,10 +25,12 @@ import numpy as np
 
 FASTEST_HZ = 50.0
 LEAST_GAP_S = 0.005  # a quarter of the usual tick of the device
+BURST = 3  # targets that may go out early, if fewer went before
 LINE_SHARE = 0.7  # of the line's bytes per second that periodic traffic may take
 # To the device and back, six servos, the longest numbers.
 TARGET_BYTES = (53, 33)  # !goto; OK and STOPPED
 QUESTION_BYTES = (16, 54)  # ?pos; POS
+OK_BYTES = 14
 MOST_JOINTS = 16
 _ROOM = MAX_LINE - TAIL - 6  # characters of a line without number and CRC
 
@@ -39,11 +41,35 @@ def rate_for(baud: int) -> float:
     return min(FASTEST_HZ, _free_bytes_s(baud) / longest)
 
 
-def shortest_gap_s(baud: int) -> float:
-    """Give how soon after another a target may follow, with positions asked for as ever."""
-    gaps_s = [target / (_free_bytes_s(baud) - question * rate_for(baud))
-              for target, question in zip(TARGET_BYTES, QUESTION_BYTES)]
-    return max(LEAST_GAP_S, *gaps_s)
+class Pace:
+    """
+    When a target may follow another without filling the line.
+
+    One may follow as soon as the last one is through and answered, but on average only as
+    often as the line can bear it, with positions asked for as ever.
+
+    Parameters
+    ----------
+    baud : int
+        Speed of the line.
+
+    """
+
+    def __init__(self, baud: int) -> None:
+        gaps_s = [target / (_free_bytes_s(baud) - question * rate_for(baud))
+                  for target, question in zip(TARGET_BYTES, QUESTION_BYTES)]
+        self.mean_s = max(LEAST_GAP_S, *gaps_s)
+        self.least_s = max(LEAST_GAP_S, (TARGET_BYTES[0] + OK_BYTES) * BITS_PER_BYTE / baud)
+        self._sent_s = self._spent_until_s = -math.inf
+
+    def next_s(self) -> float:
+        """Give the earliest time of the next target."""
+        return max(self._sent_s + self.least_s, self._spent_until_s - BURST * self.mean_s)
+
+    def sent(self, now_s: float) -> None:
+        """Take note that a target goes out."""
+        self._sent_s = now_s
+        self._spent_until_s = max(self._spent_until_s, now_s) + self.mean_s
 
 
 def _free_bytes_s(baud: int) -> float:
