@@ -150,7 +150,7 @@ def rotation_log(rotation: np.ndarray) -> np.ndarray:
         raise ValueError('rotation must be finite and have shape (..., 3, 3), got '
                          f'{rotation.shape}{"" if np.isfinite(rotation).all() else " with nan"}')
     flat = rotation.reshape(*rotation.shape[:-2], 9)
-    axial = 0.5 * (flat[..., [7, 2, 3]] - flat[..., [5, 6, 1]])
+    axial = 0.5 * (flat[..., _LOWER] - flat[..., _UPPER])
     sine = np.sqrt((axial * axial).sum(axis=-1))
     cosine = 0.5 * (flat[..., 0] + flat[..., 4] + flat[..., 8] - 1.0)
     tiny = sine < 1e-12
@@ -275,6 +275,7 @@ def _twists(twist: np.ndarray) -> np.ndarray:
 
 
 _EYE = np.eye(3)
+_LOWER, _UPPER = np.array([7, 2, 3]), np.array([5, 6, 1])  # of a flat matrix, by axis
 _CROSS = np.zeros((3, 9))  # v @ _CROSS is the cross product matrix of v, by rows
 _CROSS[0, 7], _CROSS[0, 5], _CROSS[1, 2], _CROSS[1, 6], _CROSS[2, 3], _CROSS[2, 1] = (
     1.0, -1.0, 1.0, -1.0, 1.0, -1.0)

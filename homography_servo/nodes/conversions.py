@@ -8,6 +8,7 @@ here. What cannot be used comes back as `Rejected`.
 from __future__ import annotations
 
 import array
+from functools import lru_cache
 import math
 from typing import Iterable, Sequence
 
@@ -27,6 +28,7 @@ from homography_servo.geometry.quaternion import quaternion_of
 from homography_servo.geometry.quaternion import rotation_of
 from homography_servo.result import Rejected
 import numpy as np
+from scipy.linalg import lapack
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import Image
 from sensor_msgs.msg import JointState
@@ -133,8 +135,15 @@ def image_msg(pixels: np.ndarray, header: Header, encoding: str | None = None) -
 
 def camera_from_info(msg: CameraInfo) -> Camera | Rejected:
     """Read the camera model of a CameraInfo message."""
-    return camera_from_calibration(int(msg.width), int(msg.height), [float(v) for v in msg.k],
-                                   [float(v) for v in msg.d], msg.distortion_model)
+    return _camera(int(msg.width), int(msg.height), tuple(map(float, msg.k)),
+                   tuple(map(float, msg.d)), msg.distortion_model)
+
+
+@lru_cache(maxsize=16)
+def _camera(width: int, height: int, k: tuple[float, ...], d: tuple[float, ...], model: str
+            ) -> Camera | Rejected:
+    """Every image brings the same numbers again."""
+    return camera_from_calibration(width, height, k, d, model)
 
 
 def camera_info_msg(camera: Camera, header: Header) -> CameraInfo:
@@ -180,7 +189,7 @@ def covariance_msg(covariance: np.ndarray, header: Header) -> Float64MultiArray:
     The message has no header, so its stamp travels as the label of the first axis.
     """
     size = len(covariance)
-    msg = Float64MultiArray(data=[float(v) for v in np.asarray(covariance).ravel()])
+    msg = Float64MultiArray(data=np.asarray(covariance, dtype=float).ravel().tolist())
     stamp = stamp_text(header.stamp)
     msg.layout.dim = [MultiArrayDimension(label=stamp, size=size, stride=size * size),
                       MultiArrayDimension(label='column', size=size, stride=size)]
@@ -192,7 +201,7 @@ def covariance_from_msg(msg: Float64MultiArray, size: int) -> np.ndarray | Rejec
     if len(msg.data) != size * size:
         return Rejected(f'{size} x {size} numbers are needed, {len(msg.data)} came')
     covariance = np.array(msg.data, dtype=float).reshape(size, size)
-    if not np.isfinite(covariance).all() or np.linalg.eigvalsh(covariance).min() <= 0.0:
+    if not np.isfinite(covariance).all() or lapack.dpotrf(covariance)[1]:
         return Rejected('it is not finite and positive definite')
     return covariance
 

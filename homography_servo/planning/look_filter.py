@@ -93,8 +93,7 @@ def look_from_pose(home_from_object: np.ndarray, covariance: np.ndarray, points_
         return Rejected('the measured object is not in front of the camera')
     rays, jacobian = rays_of(home_from_object, points_m, home_depth_m)
     spread = jacobian @ covariance @ jacobian.T
-    basis, _ = np.linalg.qr(jacobian)
-    blind = np.eye(len(rays)) - basis @ basis.T
+    blind = np.eye(len(rays)) - jacobian @ np.linalg.solve(jacobian.T @ jacobian, jacobian.T)
     return Look(rays, spread + np.trace(spread) / 6.0 * blind)
 
 

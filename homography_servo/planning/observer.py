@@ -67,21 +67,24 @@ class Observer:
         self.settings = settings
         self._looks: deque[Look] = deque()
         self._measured_px: float | None = None
+        self._noise_stale = False  # a look has come since it was measured
         self._last: tuple[np.ndarray, float] | None = None
 
     @property
     def noise_px(self) -> float:
         """Give the standard deviation of a coordinate that covariances are based on."""
+        self._measure_noise()
         measured = self._measured_px if self.settings.measure_noise else None
         return self.sigma_px if measured is None else measured
 
     def forget(self) -> None:
         """Forget all looks and the last pose."""
-        self._looks.clear()
+        self.lose_sight()
         self._last = None
 
     def lose_sight(self) -> None:
         """Start averaging anew: the object may be elsewhere when it is seen again."""
+        self._measure_noise()
         self._looks.clear()
 
     def see(self, corners_px: np.ndarray, camera: Camera, time_s: float,
@@ -117,7 +120,7 @@ class Observer:
         while len(self._looks) > self.settings.looks_max:
             self._looks.popleft()
         self._last = (estimate.home_from_object, time_s)
-        self._measure_noise()
+        self._noise_stale = True
         return estimate
 
     def pose_of(self, corners_px: np.ndarray, camera: Camera, prior: Prior | None = None,
@@ -168,8 +171,9 @@ class Observer:
 
     def _measure_noise(self) -> None:
         """Take second differences, which even motion does not spoil, and their median."""
-        if len(self._looks) < NOISE_LOOKS:
+        if not self._noise_stale or len(self._looks) < NOISE_LOOKS:
             return
+        self._noise_stale = False
         bends = np.diff([look.corners_px for look in self._looks], n=2, axis=0)
         noise = float(np.median(np.abs(bends))) / (MEDIAN_OF_NORMAL * math.sqrt(6.0))
         self._measured_px = min(max(noise, NOISE_RANGE_PX[0]), NOISE_RANGE_PX[1])
