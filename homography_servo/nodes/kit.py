@@ -110,7 +110,7 @@ class NodeKit:
         """Subscribe with a guarded callback."""
         guarded = self.guarded(callback)
         if self.local is not None and not raw:
-            self.local.listen(self.resolve_topic_name(topic), guarded, qos)
+            return self.local.subscribe(self, kind, topic, guarded, qos)
         return self.create_subscription(kind, topic, guarded, qos, raw=raw)
 
     def create_publisher(self, kind: type, topic: str, qos: Any, **kwargs: Any) -> Any:

@@ -1,7 +1,9 @@
 """Nodes in one process tell each other everything once, and the outside as before."""
 
+from functools import partial
 import os
 import signal
+from types import SimpleNamespace
 
 import pytest
 
@@ -13,6 +15,7 @@ from homography_servo.nodes.conversions import stamp_text  # noqa: E402
 from homography_servo.nodes.kit import DEFAULT  # noqa: E402
 from homography_servo.nodes.kit import LATCHED  # noqa: E402
 from homography_servo.nodes.local_topics import heard_twice  # noqa: E402
+from homography_servo.nodes.local_topics import is_idle  # noqa: E402
 from homography_servo.nodes.local_topics import LocalPublisher  # noqa: E402
 from homography_servo.nodes.local_topics import LocalTopics  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
@@ -82,6 +85,32 @@ def test_it_counts_listeners_here_and_outside(probe):
     assert publisher.get_subscription_count() == 1 and publisher.topic_name == '/words'
     probe.record(String, '/words', DEFAULT)
     probe.wait(lambda: publisher.get_subscription_count() == 2, 'nobody outside')
+
+
+class Hearer:
+    """A node that only subscribes."""
+
+    def resolve_topic_name(self, topic):
+        return f'/{topic}'
+
+    def create_subscription(self, kind, topic, callback, qos):
+        return SimpleNamespace(callback=callback)
+
+
+def test_what_two_nodes_hear_from_outside_is_taken_once():
+    topics, heard = LocalTopics(), []
+    first, second, other, latched, again = (
+        topics.subscribe(Hearer(), String, name, partial(lambda who, msg: heard.append(who), who),
+                         qos)
+        for who, name, qos in ((1, 'a', DEFAULT), (2, 'a', DEFAULT), (3, 'b', DEFAULT),
+                               (4, 'c', LATCHED), (5, 'c', LATCHED)))
+    assert [is_idle(item) for item in (first, second, other, latched, again)] == [
+        False, True, False, False, False]  # what is latched is heard by each from the start
+    first.callback('from outside')
+    assert heard == [1, 2]
+    topics.publish('/a', 'from inside', latched=False)
+    topics.deliver()
+    assert heard == [1, 2, 1, 2]
 
 
 def test_it_is_noticed_where_the_middleware_would_deliver_a_second_time(probe):
