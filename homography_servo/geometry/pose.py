@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import math
 
 from homography_servo.geometry.camera_model import Camera
-from homography_servo.geometry.pose_refine import Fit
 from homography_servo.geometry.pose_refine import refine
 from homography_servo.geometry.pose_refine import same_minimum
-from homography_servo.geometry.pose_refine import Views
+from homography_servo.geometry.pose_residuals import Fit
+from homography_servo.geometry.pose_residuals import Views
 from homography_servo.geometry.pose_start import FAULTS
 from homography_servo.geometry.pose_start import mirrored_rotation
 from homography_servo.geometry.pose_start import planar_starts

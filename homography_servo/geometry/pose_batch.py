@@ -7,10 +7,10 @@ from typing import NamedTuple
 from homography_servo.geometry.camera_model import Camera
 from homography_servo.geometry.pose import checked_points
 from homography_servo.geometry.pose import solid_starts
-from homography_servo.geometry.pose_refine import Fit
 from homography_servo.geometry.pose_refine import refine
 from homography_servo.geometry.pose_refine import SAME_MINIMUM
-from homography_servo.geometry.pose_refine import Views
+from homography_servo.geometry.pose_residuals import Fit
+from homography_servo.geometry.pose_residuals import Views
 from homography_servo.geometry.pose_start import planar_starts
 from homography_servo.geometry.pose_start import Shape
 from homography_servo.geometry.pose_start import shape_of

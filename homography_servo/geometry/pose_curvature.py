@@ -16,7 +16,7 @@ from homography_servo.geometry.stacks import zeros
 import numpy as np
 
 if TYPE_CHECKING:
-    from homography_servo.geometry.pose_refine import Views
+    from homography_servo.geometry.pose_residuals import Views
 
 
 def curvature(views: Views, rotation: np.ndarray, translation_m: np.ndarray,

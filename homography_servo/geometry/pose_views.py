@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from homography_servo.geometry.camera_model import Camera
-from homography_servo.geometry.pose_refine import Views
+from homography_servo.geometry.pose_residuals import Views
 from homography_servo.result import Rejected
 import numpy as np
 

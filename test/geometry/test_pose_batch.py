@@ -8,7 +8,7 @@ from geometry_cases import random_pose
 from geometry_cases import SHAPES
 from homography_servo.geometry.pose import estimate_pose
 from homography_servo.geometry.pose_batch import estimate_poses
-from homography_servo.geometry.pose_refine import linearise
+from homography_servo.geometry.pose_residuals import linearise
 from homography_servo.geometry.pose_views import views_of
 from homography_servo.geometry.rigid import pose_difference
 from homography_servo.result import Rejected
@@ -39,6 +39,21 @@ def test_a_batch_gives_what_single_calls_give(camera, shape):
             assert stack.chi2[i, k] == pytest.approx(candidate.chi2, rel=1e-3, abs=1e-6)
             assert stack.covariance[i, k] == pytest.approx(
                 candidate.covariance, rel=0.02, abs=0.02 * np.abs(candidate.covariance).max())
+
+
+def test_seen_from_the_front_a_single_call_leaves_out_walks_but_no_minimum():
+    """A batch follows both starts to the end; a single view stops one that leads nowhere."""
+    rng = np.random.default_rng(33)
+    image = np.stack([project(random_pose(rng, tilt_deg=12.0)) for _ in range(300)])
+    image += NOISE_PX * rng.normal(size=image.shape)
+    stack = estimate_poses(FACE_M, image, PINHOLE, 0.9, NOISE_PX ** 2)
+    assert 30 < (stack.minima == 2).sum() < 270
+    found = 0
+    for i, corners_px in enumerate(image):
+        single = estimate_pose(FACE_M, corners_px, PINHOLE, 0.9, NOISE_PX ** 2)
+        assert stack.chi2[i, 0] == pytest.approx(single.candidates[0].chi2, rel=1e-3, abs=1e-3)
+        found += stack.minima[i] == len(single.candidates)
+    assert found >= 299
 
 
 def test_bad_images_are_marked_and_do_not_spoil_the_others():

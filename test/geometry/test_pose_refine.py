@@ -7,10 +7,10 @@ from geometry_cases import project
 from geometry_cases import random_pose
 from geometry_cases import SOLID_M
 from homography_servo.geometry.pose_curvature import curvature
-from homography_servo.geometry.pose_refine import linearise
 from homography_servo.geometry.pose_refine import moved
 from homography_servo.geometry.pose_refine import refine
-from homography_servo.geometry.pose_refine import residuals
+from homography_servo.geometry.pose_residuals import linearise
+from homography_servo.geometry.pose_residuals import residuals
 from homography_servo.geometry.pose_views import views_of
 from homography_servo.geometry.rigid import exp_twist
 import numpy as np

@@ -28,7 +28,7 @@ from homography_servo.geometry.face import face_corners
 from homography_servo.geometry.pose import estimate_pose
 from homography_servo.geometry.pose import Prior
 from homography_servo.geometry.pose_batch import estimate_poses
-from homography_servo.geometry.pose_refine import linearise
+from homography_servo.geometry.pose_residuals import linearise
 from homography_servo.geometry.pose_start import mirrored_rotation
 from homography_servo.geometry.pose_start import shape_of
 from homography_servo.geometry.pose_views import views_of
