@@ -83,5 +83,6 @@ class ArmThread:
             return
         if self._reader in ready:
             os.read(self._reader, 4096)
-            # A flood of wakes must not become a flood of turns.
-            time.sleep(max(self._turned_s + SHORTEST_S - time.monotonic(), 0.0))
+            early_s = self._turned_s + SHORTEST_S - time.monotonic()
+            if early_s > 0.0:  # a flood of wakes must not become a flood of turns
+                time.sleep(early_s)

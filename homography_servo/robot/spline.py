@@ -65,10 +65,12 @@ class Spline:
     def sample(self, time_s: float | np.ndarray) -> Sample:
         """Give the state at a time, or one row for each of many times."""
         time_s = np.asarray(time_s, dtype=float)
-        inside = np.clip(time_s, self.times_s[0], self.times_s[-1])
+        inside = np.minimum(np.maximum(time_s, self.times_s[0]), self.times_s[-1])
         piece = np.searchsorted(self.times_s[1:-1], inside, side='right')
         state = self._evaluate(piece, inside - self.times_s[piece])
         stands = (time_s < self.times_s[0]) | (time_s >= self.times_s[-1])
+        if not stands.any():
+            return state
         moving = np.where(stands, 0.0, 1.0)[..., None]
         # Exactly the last knot, not what a polynomial rounds it to: it may be a limit.
         ended = (time_s >= self.times_s[-1])[..., None]

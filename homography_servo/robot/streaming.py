@@ -24,7 +24,6 @@ class Target(NamedTuple):
 
     units: np.ndarray  # (n,) int, in joint order
     joints_rad: np.ndarray  # (n,) before rounding
-    velocities_rad_s: np.ndarray  # (n,)
     late_s: float  # how far the motion is behind its own times
     done: bool  # the trajectory has ended, or there is none
 
@@ -124,8 +123,7 @@ class TargetStream:
         return self._target()
 
     def _target(self) -> Target:
-        return Target(self._units.copy(), self._joints, self.state.velocities, self._late_s,
-                      self._trajectory is None)
+        return Target(self._units.copy(), self._joints, self._late_s, self._trajectory is None)
 
     def _reachable(self, trajectory: Trajectory, passed_s: float) -> tuple[np.ndarray, float]:
         """Find the largest advance along the path, up to the time passed, that keeps speed."""

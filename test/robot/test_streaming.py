@@ -52,7 +52,7 @@ def test_it_goes_where_the_trajectory_goes_and_ends():
         sent.append((now_s, target.units))
         assert np.abs(target.joints_rad - from_units(ROBOT, target.units)).max() < 0.0011
     np.testing.assert_array_equal(target.units, to_units(ROBOT, goal, MARGIN))
-    assert target.done and not target.velocities_rad_s.any()
+    assert target.done and not targets.state.velocities.any()
     assert target.late_s == pytest.approx(0.0, abs=0.02)
     assert now_s == pytest.approx(trajectory.duration_s, abs=0.03)
     assert too_fast(sent) <= 1.0
