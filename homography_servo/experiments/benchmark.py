@@ -18,9 +18,9 @@ import sys
 import time
 from typing import Any, Sequence
 
-# One thread per method, so that times compare; must be set before numpy is loaded.
-for _name in ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS'):
-    os.environ.setdefault(_name, '1')
+from homography_servo.threads import keep_to_one_thread
+
+keep_to_one_thread()  # so that times compare
 
 SUITES = ('pose', 'tracker', 'plan', 'servo', 'latency')
 

@@ -178,8 +178,8 @@ def _heading(key: str) -> str:
 
 def shown_value(key: str, value: str) -> str:
     """Write a value of the verdict as a person reads it: few digits, degrees, yes or no."""
-    if value in ('True', 'False'):
-        return 'yes' if value == 'True' else 'no'
+    if value in ('true', 'false'):
+        return 'yes' if value == 'true' else 'no'
     _, scale, digits = VERDICT_COLUMNS.get(key, ('', 1.0, -1))
     try:
         return f'{scale * float(value):.{digits}f}' if digits >= 0 else value

@@ -1,8 +1,5 @@
 """Thin ROS adapters; the only folder, with launch, that imports ROS."""
 
-import os
+from homography_servo.threads import keep_to_one_thread
 
-# Matrices here are small: threads of the linear algebra libraries would only take
-# processor time from the other nodes. They must be told before numpy is loaded.
-for _name in ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS'):
-    os.environ.setdefault(_name, '1')
+keep_to_one_thread()  # more would only take processor time from the other nodes

@@ -190,10 +190,13 @@ class NodeKit:
 
 def status_msg(node_name: str, health: Health) -> DiagnosticStatus:
     """Turn the health of one part into a message."""
-    values = [KeyValue(key=str(k), value=_shown(v)) for k, v in health.values.items()]
+    values = [KeyValue(key=str(k), value=shown(v)) for k, v in health.values.items()]
     return DiagnosticStatus(name=f'{node_name}: {health.part}', level=health.level,
                             message=health.message, hardware_id=node_name, values=values)
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
+    """Write a value of a status as a person, or a program, reads it."""
+    if isinstance(value, bool):
+        return 'true' if value else 'false'
     return f'{value:.6g}' if isinstance(value, float) else str(value)

@@ -138,9 +138,7 @@ class PathPlanner(NodeKit, Node):
         """Keep how well the corners of one image are known until they come."""
         covariance = covariance_from_msg(msg, 8)
         if self._taken('corner_covariance', covariance):
-            # The tracker tells of noise; edges that are not what they seem come on top.
-            floor_px2 = self._settings[PlannerSettings].corner_sigma_px ** 2
-            self._covariances[stamp_label(msg)] = covariance + floor_px2 * np.eye(8)
+            self._covariances[stamp_label(msg)] = covariance
         while len(self._covariances) > COVARIANCES_KEPT:
             self._covariances.pop(next(iter(self._covariances)))
 

@@ -7,12 +7,13 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from diagnostic_msgs.msg import KeyValue
+from homography_servo.nodes.kit import shown
 from homography_servo.planning.servo_state import Progress
 
 
 def progress_msg(name: str, level: bytes, sentence: str, progress: Progress) -> DiagnosticStatus:
     """Make a status whose values are the fields of the progress."""
-    values = [KeyValue(key=key, value=_shown(value))
+    values = [KeyValue(key=key, value=shown(value))
               for key, value in progress._asdict().items()]
     return DiagnosticStatus(name=name, level=level, message=sentence, values=values)
 
@@ -39,9 +40,3 @@ def number(text: str | None) -> float | None:
     except (TypeError, ValueError):
         return None
     return value if math.isfinite(value) else None
-
-
-def _shown(value: Any) -> str:
-    if isinstance(value, bool):
-        return 'true' if value else 'false'
-    return f'{value:.6g}' if isinstance(value, float) else str(value)

@@ -358,7 +358,7 @@ def lead_from(verdict: DiagnosticArray, plan: JointTrajectory | None,
 
     None as long as they are needed and have not come.
     """
-    led = np.array([any(pair.key == 'led' and pair.value == 'True' for pair in status.values)
+    led = np.array([any(pair.key == 'led' and pair.value == 'true' for pair in status.values)
                     for status in verdict.status[1:]], dtype=bool)
     if not led.any():
         return JointLead()

@@ -53,7 +53,7 @@ class Observer:
     home_depth_m : float
         Distance of the home frame from the camera.
     sigma_px : float
-        Noise of a coordinate until it has been measured.
+        Noise of a coordinate until it has been measured, and what no tracker knows of.
     settings : ObserverSettings
         Everything else.
 
@@ -104,13 +104,16 @@ class Observer:
         arm_pose : (4, 4) array, optional
             ``home_from_object`` by the joints, if they are known now.
         covariance_px2 : (2M, 2M) array, optional
-            Of the corners, where the tracker tells it.
+            Of the corners, where the tracker tells it; ``sigma_px`` comes on top.
 
         Returns
         -------
         PoseEstimate or Rejected
 
         """
+        if covariance_px2 is not None:
+            # A tracker tells of noise; edges that are not what they seem come on top.
+            covariance_px2 = covariance_px2 + self.sigma_px**2 * np.eye(len(covariance_px2))
         estimate = self.pose_of(corners_px, camera, self._prior(time_s, arm_pose),
                                 covariance_px2=covariance_px2)
         if isinstance(estimate, Rejected):

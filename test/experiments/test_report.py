@@ -111,7 +111,7 @@ def test_points_of_the_face_are_found_where_they_are_seen():
 
 
 @pytest.mark.parametrize('key, value, shown', [
-    ('border_px', '61.6709', '62'), ('ambiguity', '7.87549e-10', '0.00'), ('led', 'False', 'no'),
+    ('border_px', '61.6709', '62'), ('ambiguity', '7.87549e-10', '0.00'), ('led', 'false', 'no'),
     ('joint_margin_rad', '0.523599', '30.0'), ('nearest_limit', 'joint2', 'joint2'),
     ('joint_margin_rad', 'unknown', 'unknown'), ('m_px', '50', '50'), ('border_px', '', '')])
 def test_values_of_the_verdict_are_written_for_people(key, value, shown):

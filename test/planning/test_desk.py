@@ -46,6 +46,16 @@ class Bench:
         return estimate
 
 
+def test_no_pose_is_better_known_than_edges_can_be_trusted():
+    """A tracker knows its noise only; what it cannot know is added to what it says."""
+    def deviations(tracker_px, sigma_px):
+        bench = Bench(noise_px=0.0, corner_sigma_px=sigma_px)
+        estimate = bench.desk.see(seen(GOAL), 100.0, covariance_px2=tracker_px**2 * np.eye(8))
+        return np.sqrt(estimate.covariance.diagonal())
+    assert deviations(0.001, 0.2) == pytest.approx(deviations(0.2, 0.001), rel=1e-3)
+    assert deviations(0.3, 0.4) == pytest.approx(5.0 * deviations(0.06, 0.08), rel=1e-3)
+
+
 def test_several_looks_teach_a_goal_better_than_one():
     one, many = [], []
     for seed in range(10):
@@ -217,14 +227,15 @@ def test_pictures_from_before_the_arm_stopped_are_no_looks_at_rest():
 
 
 def test_what_the_tracker_says_of_its_corners_goes_into_the_pose():
-    bench = Bench()
+    bench = Bench(corner_sigma_px=0.001)
     sure, unsure = (bench.desk.see(seen(START), 100.0, covariance_px2=sigma**2 * np.eye(8))
                     for sigma in (0.02, 0.2))
-    assert unsure.covariance == pytest.approx(100.0 * sure.covariance, rel=1e-3)
+    ratio = (0.2**2 + 0.001**2) / (0.02**2 + 0.001**2)
+    assert unsure.covariance == pytest.approx(ratio * sure.covariance, rel=1e-3)
 
 
 def test_looks_that_are_known_better_weigh_more_in_an_average():
-    bench = Bench()
+    bench = Bench(corner_sigma_px=0.001)
     bench.desk.set_joints(START_RAD, 100.0)
     for shift_px, sigma in ((0.5, 0.5), (0.0, 0.05), (0.5, 0.5)):
         bench.desk.see(seen(START) + shift_px, 100.0, covariance_px2=sigma**2 * np.eye(8))
