@@ -15,6 +15,7 @@ from homography_servo.robot.robot_model import Robot
 from homography_servo.robot.trajectory import TrajectorySettings
 
 LEAST_SERVOS = 6  # of the emulated robot
+FAREWELL_S = 0.2  # that the end may take while the device answers
 
 
 class Arm:
@@ -70,6 +71,6 @@ class Arm:
     def close(self) -> None:
         """Stop a moving arm, end the thread, release the port."""
         self.driver.active = False
-        self.driver.quit(time.monotonic())
+        self.driver.quit(time.monotonic(), FAREWELL_S)
         self._thread.stop()
         self._port.close()

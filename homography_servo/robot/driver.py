@@ -298,19 +298,21 @@ class ArmDriver:
                 due += [self._mover.next_due_s] if self._mover.streaming else []
             return min(due)
 
-    def quit(self, now_s: float) -> None:
+    def quit(self, now_s: float, wait_s: float = 0.0) -> None:
         """
         Say farewell: a moving arm is stopped at once and latched.
 
         With an arm at rest the device's watchdog is switched off, or it would take our
-        absence for a fault.
+        absence for a fault. Others must call `turn` while this waits for the answer.
         """
-        with self._lock:
+        with self._answered:
             if not self.resting:
                 self.stop_now('the bridge ends')
             elif self._ready and not self._latch:
-                self.link.request('!watch 0')
-                self.link.turn(now_s)
+                done: list[str] = []
+                self._on_answer[self.link.request('!watch 0')] = lambda a: done.append(a.kind)
+                self._take_events(now_s)  # lines before it may still be unanswered
+                self._answered.wait_for(lambda: bool(done), wait_s)
 
     def close(self) -> None:
         """Release the port."""

@@ -57,6 +57,20 @@ def test_an_emulated_arm_moves_and_leaves_nothing_behind(tmp_path):
     assert '!watch 0' in (tmp_path / 'device').read_text()  # a farewell, the arm was at rest
 
 
+def test_the_farewell_is_said_even_if_the_device_is_slow_to_answer(tmp_path):
+    """As many lines as may be unanswered are under way; it has to wait for one of them."""
+    for index in range(3):
+        log = tmp_path / f'device{index}'
+        arm = opened(fake_log=str(log), fake_faults=['delay=0.04'])
+        try:
+            await_state(arm, 'IDLE')
+            for _ in range(4):
+                arm.driver.link.request('?')
+        finally:
+            arm.close()
+        assert '!watch 0' in log.read_text()
+
+
 def test_a_moving_arm_is_stopped_when_it_is_closed(tmp_path):
     arm = opened(session_log=str(tmp_path / 'session'))
     try:
