@@ -19,11 +19,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from homography_servo.geometry.rigid_single import cubic_series
+from homography_servo.geometry.rigid_single import exp_one
+from homography_servo.geometry.rigid_single import HALF_TURN
+from homography_servo.geometry.rigid_single import log_one
+from homography_servo.geometry.rigid_single import SMALL_RAD
 import numpy as np
 from scipy.spatial.transform import Rotation
-
-_HALF_TURN = -0.99  # cosine of the angle from which scipy finds the axis
-_SMALL_RAD = 0.1  # below it the series is more exact than the closed form
 
 
 def transform(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
@@ -80,6 +82,8 @@ def exp_twist(twist: np.ndarray) -> np.ndarray:
 
     """
     twist = _twists(twist)
+    if twist.ndim == 1:
+        return exp_one(twist.tolist())
     cross = skew(twist[..., 3:])
     square = cross @ cross
     first, second, third = _coefficients(np.linalg.norm(twist[..., 3:], axis=-1))
@@ -149,6 +153,10 @@ def rotation_log(rotation: np.ndarray) -> np.ndarray:
     if rotation.shape[-2:] != (3, 3) or not np.isfinite(rotation).all():
         raise ValueError('rotation must be finite and have shape (..., 3, 3), got '
                          f'{rotation.shape}{"" if np.isfinite(rotation).all() else " with nan"}')
+    if rotation.ndim == 2:
+        vector = log_one(rotation.tolist())
+        if vector is not None:
+            return vector
     flat = rotation.reshape(*rotation.shape[:-2], 9)
     axial = 0.5 * (flat[..., _LOWER] - flat[..., _UPPER])
     sine = np.sqrt((axial * axial).sum(axis=-1))
@@ -157,7 +165,7 @@ def rotation_log(rotation: np.ndarray) -> np.ndarray:
     vector = axial * np.where(tiny, 1.0, np.arctan2(sine, cosine)
                               / np.where(tiny, 1.0, sine))[..., None]
     # Near half a turn the axis vanishes from the odd part of the matrix.
-    turned = cosine < _HALF_TURN
+    turned = cosine < HALF_TURN
     if turned.any():
         vector[turned] = Rotation.from_matrix(rotation[turned].reshape(-1, 3, 3)).as_rotvec() \
             .reshape(vector[turned].shape)
@@ -242,9 +250,9 @@ def _coefficients(angle_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
     half = np.maximum(0.5 * angle_rad, 1e-150)
     second = 0.5 * (np.sin(half) / half) ** 2
     squared = angle_rad ** 2
-    safe = np.maximum(angle_rad, _SMALL_RAD)
-    series = 1 / 6 - squared / 120 * (1 - squared / 42 * (1 - squared / 72))
-    third = np.where(angle_rad < _SMALL_RAD, series, (safe - np.sin(safe)) / safe ** 3)
+    safe = np.maximum(angle_rad, SMALL_RAD)
+    third = np.where(angle_rad < SMALL_RAD, cubic_series(squared),
+                     (safe - np.sin(safe)) / safe ** 3)
     return 1.0 - squared * third, second, third
 
 
@@ -252,9 +260,9 @@ def _cotangent(angle_rad: np.ndarray) -> np.ndarray:
     """Evaluate (1 - x/2 cot(x/2)) / x^2 without cancellation."""
     squared = angle_rad**2
     series = 1 / 12 + squared / 720 * (1 + squared / 42 * (1 + squared / 40))
-    safe = np.where(angle_rad < _SMALL_RAD, 1.0, angle_rad)
+    safe = np.where(angle_rad < SMALL_RAD, 1.0, angle_rad)
     closed = (1.0 - 0.5 * safe * np.cos(0.5 * safe) / np.sin(0.5 * safe)) / safe**2
-    return np.where(angle_rad < _SMALL_RAD, series, closed)
+    return np.where(angle_rad < SMALL_RAD, series, closed)
 
 
 def checked_transforms(a_from_b: np.ndarray) -> np.ndarray:

@@ -132,6 +132,20 @@ def test_stacks_agree_with_single_motions():
         (stack[1, 2] @ [*points[1], 1.0])[:3])
 
 
+@pytest.mark.parametrize('angle_rad', [
+    0.0, 1e-200, 1e-12, 1e-6, 1e-3, 0.0999, 0.1001, 1.0, 3.0, np.pi - 1e-9, 4.0, 6.2])
+def test_single_motions_and_stacks_are_computed_apart_and_agree(angle_rad):
+    rng = np.random.default_rng(9)
+    twists = rng.normal(size=(50, 6))
+    twists[:, 3:] *= angle_rad / np.linalg.norm(twists[:, 3:], axis=1)[:, None]
+    motions = rigid.exp_twist(twists)
+    for twist, motion in zip(twists, motions):
+        np.testing.assert_allclose(rigid.exp_twist(twist), motion, rtol=0.0, atol=5e-15)
+        np.testing.assert_allclose(rigid.rotation_log(motion[:3, :3]),
+                                   rigid.rotation_log(motion[None, :3, :3])[0],
+                                   rtol=0.0, atol=5e-15)
+
+
 def test_wrong_shapes_name_the_shape_expected():
     with pytest.raises(ValueError, match=r'\(\.\.\., 4, 4\), got \(3, 3\)'):
         rigid.inverse(np.eye(3))
