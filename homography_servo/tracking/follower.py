@@ -9,6 +9,7 @@ from homography_servo.tracking.doubts import FaceCheck
 from homography_servo.tracking.doubts import SEEN_SIDE
 from homography_servo.tracking.doubts import surprise
 from homography_servo.tracking.doubts import weak_support
+from homography_servo.tracking.face_shape import FaceShape
 from homography_servo.tracking.focus import first_focus
 from homography_servo.tracking.focus import refocus
 from homography_servo.tracking.levels import LevelMemory
@@ -65,7 +66,7 @@ class Follower:
         if box_height_m > 0.0 and plane.camera is not None:
             self._box = BoxSides(face_size_m, box_height_m, plane)
         self._locator, self._accepted = Locator(), 0
-        self._face = FaceCheck(face_size_m, plane)
+        self._face, self._shape = FaceCheck(face_size_m, plane), FaceShape(face_size_m, plane)
         self._print = PrintFollower(plane, self._face)
         self.forget()
 
@@ -85,6 +86,7 @@ class Follower:
         """Stop following; what the face looks like stays known."""
         self._motion: Motion | None = None
         self._memory: LevelMemory | None = None
+        self._shape.forget()
 
     def follow(self, image: np.ndarray, stamp_s: float,
                given_px: np.ndarray | None) -> SnakeFit | Rejected:
@@ -190,6 +192,7 @@ class Follower:
             else self._memory.updated(known)
         if fit.by_print:
             return  # its edges are too weak to learn from
+        self._shape.learn(fit)
         if self._accepted <= REFOCUS_FIRST or self._accepted % REFOCUS_EVERY == 0:
             clean = good if fit.edges.second is None else good & fit.edges.single
             self.blur_px = refocus(required(fit.scan, 'scan'), fit.corners, clean, self.blur_px)
@@ -237,6 +240,8 @@ class Follower:
         blur_px = round(50.0 * self.blur_px) / 50.0
         half = self.settings.edge_half_px + max(0, round(2.0 * (blur_px - 0.8)))
         strips, rigid = (None, None) if self._box is None else self._box.strips(prior.corners)
+        if self._box is None and self.following:
+            rigid = self._shape.prior(prior.corners)
         held = prior if rigid is None else both(prior, rigid)
         look = Look(blur_px, half, round_px=ROUND_PX if self.following else 1)
         return fit_snake(image, prior.corners, look, self._plane, held,

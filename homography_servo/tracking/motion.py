@@ -12,11 +12,11 @@ import numpy as np
 
 FREE_SIGMA_PX = 1e3  # common shift, turn and scale are left to the picture
 LARGEST_PAUSE_S = 1.0
-FIRST_SURPRISE_PX, LEAST_SURPRISE_PX = 0.5, 0.1  # RMS change of shape beyond the prediction
+FIRST_SURPRISE_PX, LEAST_SURPRISE_PX = 0.5, 0.02  # RMS change of shape beyond the prediction
 FORGET = 0.1
 USUAL_CHANGES = 3.0  # a change is expected to be at most so many times the earlier ones
 LEAST_REPEATED = -0.5  # of a change that is noise, this much is undone
-SURPRISES = 3.0  # standard deviation of the prior over the usual surprise
+SURPRISES = 2.0  # standard deviation of the prior over the usual surprise
 
 
 class Motion:
