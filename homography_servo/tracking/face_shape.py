@@ -40,6 +40,7 @@ def _triangles() -> np.ndarray:
 
 
 TRIANGLES = _triangles()
+AT_REST = (0.0, 0.0, 0.0)
 
 
 class Bent(NamedTuple):
@@ -83,14 +84,11 @@ def angle_and_ratio(rays: np.ndarray) -> tuple[float, float, np.ndarray] | Rejec
     aa, bb = ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz
     both = 1.0 / math.sqrt(aa * bb)
     cosine = both * (ax * bx + ay * by + az * bz)
-    p, q, r, s = both, cosine / aa, cosine / bb, 1.0 / aa
-    by_a = np.array(((p * bx - q * ax, p * by - q * ay, p * bz - q * az),
-                     (s * ax, s * ay, s * az)))
-    s = -1.0 / bb
-    by_b = np.array(((p * ax - r * bx, p * ay - r * by, p * az - r * bz),
-                     (s * bx, s * by, s * bz)))
-    by_corner = np.zeros((2, 4, 3))  # in space
-    by_corner[:, 0], by_corner[:, 1], by_corner[:, 3] = -by_a - by_b, by_a, by_b
+    p, q, r, s, t = both, cosine / aa, cosine / bb, 1.0 / aa, -1.0 / bb
+    by_right = ((p * bx - q * ax, p * by - q * ay, p * bz - q * az), (s * ax, s * ay, s * az))
+    by_down = ((p * ax - r * bx, p * ay - r * by, p * az - r * bz), (t * bx, t * by, t * bz))
+    by_corner = np.array([((-ux - vx, -uy - vy, -uz - vz), (ux, uy, uz), AT_REST, (vx, vy, vz))
+                          for (ux, uy, uz), (vx, vy, vz) in zip(by_right, by_down)])
     flat = by_corner[:, :, :2]
     by_area = np.add.reduce(flat * rays, axis=2) + by_corner[:, :, 2]
     return cosine, 0.5 * math.log(aa / bb), \

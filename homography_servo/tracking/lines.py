@@ -150,19 +150,28 @@ def layout_of(sides: tuple[Side, ...], per_segment: int) -> Layout:
 def _cut(own: np.ndarray, steep: np.ndarray, rising: np.ndarray, near: np.ndarray,
          across: np.ndarray, per_segment: int) -> Layout:
     """Cut the lines of each side into segments of about the same length."""
-    total = np.bincount(own, minlength=len(steep))
-    cuts = np.where(total > 0, np.maximum(np.rint(total / per_segment), 1), 0).astype(np.intp)
+    begun, firsts, lengths, cuts = 0, [], [], []
+    for total in np.bincount(own, minlength=len(steep)).tolist():
+        first, length = _segments(total, per_segment)
+        firsts.append(first + begun)
+        lengths.append(length)
+        cuts.append(len(first))
+        begun += total
     segment_side = np.repeat(np.arange(len(steep)), cuts)
-    begun = (np.cumsum(cuts) - cuts).take(segment_side)
-    lead, length = (np.cumsum(total) - total).take(segment_side), total.take(segment_side)
-    first_line = lead + (np.arange(len(segment_side)) - begun) * length \
-        // cuts.take(segment_side)
-    number = np.concatenate((np.arange(len(own)), near))
-    both = np.concatenate((own, own[near]))
-    step = np.array((steep[both], ~steep[both]), float)
-    return Layout(both, np.concatenate((own, across)), number.astype(float), steep[both], step,
-                  near, first_line, np.diff(first_line, append=len(own)), segment_side,
-                  rising.take(segment_side))
+    number = np.concatenate((np.arange(begun), near))
+    both = np.concatenate((own, own.take(near)))
+    row = steep.take(both)
+    return Layout(both, np.concatenate((own, across)), number.astype(float), row,
+                  np.array((row, ~row), float), near, np.concatenate(firsts),
+                  np.concatenate(lengths), segment_side, rising.take(segment_side))
+
+
+@lru_cache(maxsize=1024)
+def _segments(lines: int, per_segment: int) -> tuple[np.ndarray, np.ndarray]:
+    """Give the first line of each segment of a side, and how many it has."""
+    count = max(round(lines / per_segment), 1) if lines else 0
+    ends = [number * lines // count for number in range(count)] + [lines]
+    return np.array(ends[:-1], np.intp), np.diff(np.array(ends, np.intp))
 
 
 def lines_within(lines: Lines, corner_count: int, half: int, shape: tuple[int, ...],
