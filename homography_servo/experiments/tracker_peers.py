@@ -132,9 +132,10 @@ class ActiveContour:
         from skimage.segmentation import active_contour  # optional
         low = np.maximum(self._corners.min(axis=0).astype(int) - 25, 0)
         high = self._corners.max(axis=0).astype(int) + 25
-        part = cv2.GaussianBlur(image[low[1]:high[1], low[0]:high[0]], (0, 0), 1.5) / 255.0
-        if min(part.shape) < 20:
+        part = image[low[1]:high[1], low[0]:high[0]]
+        if min(part.shape) < 20:  # it has run out of the image
             return None
+        part = cv2.GaussianBlur(part, (0, 0), 1.5) / 255.0
         share = np.arange(self.POINTS)[:, None] / self.POINTS
         sides = [a + share * (b - a) for a, b in zip(self._corners,
                                                      np.roll(self._corners, -1, axis=0))]
