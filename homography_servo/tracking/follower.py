@@ -38,6 +38,7 @@ CLEAR_SIDE = 0.9  # share of its lines that makes a side clear
 CHECK_EVERY = 4  # pictures: the shape of a face all of whose sides are clear
 REMEMBER_EVERY, KEY_EVERY = 5, 12
 ROUND_PX = 8  # sides of a face that is followed are cut to a multiple of this
+DONE_SIGMAS = 20.0  # a step leaves about 1/20 of itself: less than what noise moves
 NEARBY_PX, APART_PX = 12.0, 4.0  # search for the face beside edges that may not be its own
 
 
@@ -243,7 +244,8 @@ class Follower:
         if self._box is None and self.following:
             rigid = self._shape.prior(prior.corners)
         held = prior if rigid is None else both(prior, rigid)
-        look = Look(blur_px, half, round_px=ROUND_PX if self.following else 1)
+        look = Look(blur_px, half, done_sigmas=DONE_SIGMAS,
+                    round_px=ROUND_PX if self.following else 1)
         return fit_snake(image, prior.corners, look, self._plane, held,
                          POLARITIES[self.settings.polarity], strips,
                          None if self._motion is None else self._memory)
