@@ -241,7 +241,7 @@ class Follower:
         blur_px = round(50.0 * self.blur_px) / 50.0
         half = self.settings.edge_half_px + max(0, round(2.0 * (blur_px - 0.8)))
         strips, rigid = (None, None) if self._box is None else self._box.strips(prior.corners)
-        if self._box is None and self.following:
+        if self.following:
             rigid = self._shape.prior(prior.corners)
         held = prior if rigid is None else both(prior, rigid)
         look = Look(blur_px, half, done_sigmas=DONE_SIGMAS,
