@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from homography_servo.tracking.edges import line_distances
 from homography_servo.tracking.edges import measure_edges
 from homography_servo.tracking.profile import edge_profile
@@ -89,10 +91,15 @@ def _sharpness(scan: Scan, corners: np.ndarray,
 
 def first_focus(scan: Scan, corners: np.ndarray) -> float:
     """Choose the blur that explains the pixels best, without a guess."""
-    cost = [np.median(measure_edges(scan, corners, edge_profile(blur)).residual)
-            for blur in LADDER_PX]
-    best = min(max(int(np.argmin(cost)), 1), len(cost) - 2)
-    curvature = cost[best - 1] - 2.0 * cost[best] + cost[best + 1]
-    shift = 0.5 * (cost[best - 1] - cost[best + 1]) / curvature if curvature > 0.0 else 0.0
+    @lru_cache(maxsize=None)
+    def cost(number: int) -> float:
+        return float(np.median(measure_edges(scan, corners,
+                                             edge_profile(LADDER_PX[number])).residual))
+
+    best = 1
+    while best < len(LADDER_PX) - 2 and cost(best + 1) < cost(best):
+        best += 1
+    curvature = cost(best - 1) - 2.0 * cost(best) + cost(best + 1)
+    shift = 0.5 * (cost(best - 1) - cost(best + 1)) / curvature if curvature > 0.0 else 0.0
     step = LADDER_PX[best + 1] / LADDER_PX[best]
     return float(LADDER_PX[best] * step ** float(np.clip(shift, -1.0, 1.0)))

@@ -37,6 +37,7 @@ REFOCUS_EVERY, REFOCUS_FIRST = 10, 10  # pictures
 CLEAR_SIDE = 0.9  # share of its lines that makes a side clear
 CHECK_EVERY = 4  # pictures: the shape of a face all of whose sides are clear
 REMEMBER_EVERY, KEY_EVERY = 5, 12
+MOST_ROUNDS = 6  # of a first fit, until it is sure
 ROUND_PX = 8  # sides of a face that is followed are cut to a multiple of this
 DONE_SIGMAS = 20.0  # a step leaves about 1/20 of itself: less than what noise moves
 NEARBY_PX, APART_PX = 12.0, 4.0  # search for the face beside edges that may not be its own
@@ -165,15 +166,21 @@ class Follower:
         scan = read_scan(image, fit.corners, self._plane, FOCUS_HALF)
         if scan is not None:
             self.blur_px = first_focus(scan, fit.corners)
-        rounds = 1 if self._box is None else 3
-        for look in (*[self._sharp] * rounds, self._fine):
-            if self._box is not None:
-                self._box.learn(fit.edges, fit.weight, fit.strips, self.settings.edge_half_px)
-            again = look(image, shape_prior(fit.corners, GIVEN_SHAPE_SIGMA_PX))
+        for _ in range(MOST_ROUNDS):
+            self._learn_sides(fit)
+            again = self._sharp(image, shape_prior(fit.corners, GIVEN_SHAPE_SIGMA_PX))
             if isinstance(again, Rejected):
                 return again
+            begun = (again.strips is None) != (fit.strips is None)  # to look at the sides
             fit = again
-        return fit
+            if not begun and not weak_support(fit, self.settings):
+                break
+        self._learn_sides(fit)
+        return self._fine(image, shape_prior(fit.corners, GIVEN_SHAPE_SIGMA_PX))
+
+    def _learn_sides(self, fit: SnakeFit) -> None:
+        if self._box is not None:
+            self._box.learn(fit.edges, fit.weight, fit.strips, self.settings.edge_half_px)
 
     def accept(self, image: np.ndarray, fit: SnakeFit, stamp_s: float) -> None:
         """Learn from a fit that is trusted."""
@@ -182,8 +189,7 @@ class Follower:
         self._motion.measured(fit.corners, stamp_s)
         self._accepted += 1
         good = fit.weight > INLIER_WEIGHT
-        if self._box is not None:
-            self._box.learn(fit.edges, fit.weight, fit.strips, self.settings.edge_half_px)
+        self._learn_sides(fit)
         if self._accepted % REMEMBER_EVERY == 1:
             self._locator.remember(image, self._plane.to_image(fit.corners))
         if not self._print.known and self._accepted % KEY_EVERY == 1:
