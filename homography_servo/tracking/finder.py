@@ -1,10 +1,16 @@
 """
 Find the face in a picture without being told where it is.
 
-Quadrilaterals are ranked by quick looks at the grey levels along their sides; the best
-are fitted like in tracking, must be the projection of a rectangle of the known size
-within reach, and are ranked again by how well edges, evenness, pose and the sides of
-the box behind them agree.
+Two searches take turns, the surest and quickest look first:
+
+1. Straight edges are put together to views of the face and compared with the picture,
+   the sides of the box behind included (`edge_search`). It knows best among other things,
+   and finds a face of which a side is hidden. The print on a face or noise may mislead it:
+   at first it is only believed where much speaks for the face.
+2. Regions of like grey level are looked through (`region_search`): a print on the face
+   and noise matter little to it. It is believed where it is convinced.
+3. The edges are searched once more, thoroughly.
+4. What the regions showed is taken where the edges show nothing.
 
 A rectangle looks the same after half a turn. Which corner comes first is decided by
 the expected corners where they are given, else by taking the turn whose top side
@@ -15,25 +21,19 @@ from __future__ import annotations
 
 from homography_servo.geometry.camera import Camera
 from homography_servo.result import Rejected
-from homography_servo.tracking.examine import AWAY_PX
-from homography_servo.tracking.examine import CLEAR_GREY
-from homography_servo.tracking.examine import EVEN_GREY
-from homography_servo.tracking.examine import examine
-from homography_servo.tracking.examine import Found
-from homography_servo.tracking.examine import LEAST_SCORE
-from homography_servo.tracking.examine import STEEPEST
-from homography_servo.tracking.examine import Target
+from homography_servo.tracking.edge_search import EdgeSearch
+from homography_servo.tracking.edge_search import QUICK
+from homography_servo.tracking.edge_search import THOROUGH
 from homography_servo.tracking.plane import Plane
-from homography_servo.tracking.quads import list_quads
-from homography_servo.tracking.quads import side_contrast
+from homography_servo.tracking.region_search import CONVINCING
+from homography_servo.tracking.region_search import find_by_regions
+from homography_servo.tracking.target import Found
+from homography_servo.tracking.target import Target
+from homography_servo.tracking.target import turned
 import numpy as np
 
 LENS_GUESS = 1.2  # focal length over image width of a camera nobody calibrated
 SLACK = 1.5  # for distances measured with it
-LOOKED_AT = 16  # candidates fitted at most
-CONVINCING = 0.7  # score that ends the search
-MOST_SKEW, MOST_STRETCH = 0.55, 0.55  # of a candidate: cosine, log of the aspect
-SAME_PX = 3.0
 
 
 def find_face(image: np.ndarray, target: Target, plane: Plane,
@@ -61,96 +61,21 @@ def find_face(image: np.ndarray, target: Target, plane: Plane,
         plane = _typical_plane(image.shape)
         target = target._replace(nearest_m=target.nearest_m / SLACK,
                                  farthest_m=target.farthest_m * SLACK, guessed_lens=True)
-    best, reason = None, 'no quadrilateral in the image can be the face'
-    for quad in candidates(image, target, plane):
-        found = examine(image, quad, target, plane, expected)
-        if isinstance(found, Rejected):
-            reason = found.reason
-        elif best is None or found.score > best.score:
-            best = found
-            if best.score > CONVINCING:
-                break
-    if best is None:
-        return Rejected(reason)
-    if best.score < LEAST_SCORE:
-        return Rejected(f'the best quadrilateral looks like the face to {best.score:.0%} only')
-    return best
+    found = _search(image, target, plane)
+    if isinstance(found, Rejected):
+        return found
+    return found._replace(fit=turned(found.fit, target.turns, expected))
 
 
-def candidates(image: np.ndarray, target: Target, plane: Plane) -> np.ndarray:
-    """List quadrilaterals (N, 4, 2) in the plane that may be the face, best first."""
-    longest_px = plane.focal.mean() * max(target.face_size_m) / target.farthest_m
-    least = STEEPEST * longest_px ** 2 * min(target.face_size_m) / max(target.face_size_m)
-    quads = list_quads(image, least)
-    if not len(quads):
-        return quads
-    contrast, inside = side_contrast(image, quads, AWAY_PX)
-    quads = plane.from_image(quads)
-    cosine, in_reach = _affine_pose(quads, target, plane)
-    signed = np.abs(contrast) if target.polarity == 0 else contrast * target.polarity
-    levels = inside.reshape(len(quads), -1)
-    even = np.abs(levels - np.median(levels, axis=1, keepdims=True)) < EVEN_GREY
-    across = quads[:, 2:] - quads[:, :2]
-    area = np.abs(across[:, 0, 0] * across[:, 1, 1] - across[:, 0, 1] * across[:, 1, 0])
-    shown = (signed > CLEAR_GREY).mean(axis=(1, 2))
-    merit = shown + 2.0 * even.mean(axis=1) + 0.3 * cosine + 0.1 * np.log(area / least)
-    merit[~in_reach | (shown < 0.5) | ~_in_proportion(quads, target, plane)] = -np.inf
-    return _distinct(quads[np.argsort(-merit)[:np.isfinite(merit).sum()]])
-
-
-def _distinct(quads: np.ndarray) -> np.ndarray:
-    """Keep the first of those whose centre and extent are alike."""
-    far = quads - quads.mean(axis=1, keepdims=True)
-    marks = np.column_stack([quads.mean(axis=1), np.abs(far).max(axis=1)])
-    kept: list[int] = []
-    for index, mark in enumerate(marks):
-        if not kept or np.abs(marks[kept] - mark).max(axis=1).min() > SAME_PX:
-            kept.append(index)
-        if len(kept) == LOOKED_AT:
-            break
-    return quads[kept]
-
-
-def _in_proportion(quads: np.ndarray, target: Target, plane: Plane) -> np.ndarray:
-    """
-    Tell which quadrilaterals may be views of the face; their corners are rough.
-
-    The depths of the corners are those that make it a parallelogram in space.
-    """
-    rays = np.concatenate([plane.rays(quads), np.ones((*quads.shape[:2], 1))], axis=2)
-    first, second, third, fourth = rays.transpose(1, 0, 2)
-
-    def volume(one: np.ndarray, two: np.ndarray, three: np.ndarray) -> np.ndarray:
-        return (np.cross(one, two) * three).sum(axis=1)
-
-    depth = volume(first, second, third), volume(second, third, fourth), \
-        volume(first, third, fourth), volume(first, second, fourth)
-    near = depth[1][:, None] * first
-    across = depth[2][:, None] * second - near
-    down = depth[0][:, None] * fourth - near
-    long, short = (np.linalg.norm(edge, axis=1) + 1e-12 for edge in (across, down))
-    skew = np.abs((across * down).sum(axis=1)) / (long * short)
-    wanted = abs(np.log(target.face_size_m[0] / target.face_size_m[1]))
-    stretch = np.abs(np.abs(np.log(long / short)) - wanted)
-    return (skew < MOST_SKEW) & (stretch < MOST_STRETCH)
-
-
-def _affine_pose(quads: np.ndarray, target: Target,
-                 plane: Plane) -> tuple[np.ndarray, np.ndarray]:
-    """Estimate the cosine of the tilt, and whether the distance is within reach."""
-    across = 0.5 * (quads[:, 1] - quads[:, 0] + quads[:, 2] - quads[:, 3])
-    down = 0.5 * (quads[:, 3] - quads[:, 0] + quads[:, 2] - quads[:, 1])
-    best, allowed = np.zeros(len(quads)), np.zeros(len(quads), bool)
-    for width, height in (target.face_size_m, target.face_size_m[::-1]):
-        spread = np.linalg.svd(np.stack([across / width, down / height], axis=2),
-                               compute_uv=False)
-        depth = plane.focal.mean() / np.maximum(spread[:, 0], 1e-9)
-        cosine = spread[:, 1] / np.maximum(spread[:, 0], 1e-9)
-        possible = (depth > 0.85 * target.nearest_m) & (depth < 1.15 * target.farthest_m) \
-            & (cosine > 0.8 * STEEPEST)
-        best = np.where(possible, np.maximum(best, cosine), best)
-        allowed |= possible
-    return best, allowed
+def _search(image: np.ndarray, target: Target, plane: Plane) -> Found | Rejected:
+    edges = EdgeSearch(image, target, plane)
+    found = edges.best(QUICK)
+    if found:
+        return found
+    by_regions = find_by_regions(image, target, plane)
+    if not isinstance(by_regions, Rejected) and by_regions.merit > CONVINCING:
+        return by_regions
+    return edges.best(THOROUGH) or by_regions
 
 
 def _typical_plane(shape: tuple[int, ...]) -> Plane:

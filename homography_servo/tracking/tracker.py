@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 from homography_servo.geometry.camera import Camera
 from homography_servo.result import Rejected
-from homography_servo.tracking.examine import Target
 from homography_servo.tracking.finder import find_face
 from homography_servo.tracking.follower import Follower
 from homography_servo.tracking.follower import GIVEN_SHAPE_SIGMA_PX
@@ -15,6 +14,7 @@ from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import Quality
 from homography_servo.tracking.polygon_fit import SnakeFit
 from homography_servo.tracking.spline import ClosedSpline
+from homography_servo.tracking.target import Target
 from homography_servo.tracking.tracker_settings import POLARITIES
 from homography_servo.tracking.tracker_settings import TrackerSettings
 import numpy as np

@@ -1,15 +1,17 @@
 """The face is found without being told where it is."""
 
+import cv2
+from face_views import BENT
 from face_views import CAMERA
 from face_views import FACE_M
 from face_views import pose
 from homography_servo.result import Rejected
 from homography_servo.simulation.scene import Scene
 from homography_servo.simulation.scene_settings import SceneSettings
-from homography_servo.tracking.examine import Target
 from homography_servo.tracking.finder import find_face
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.quads import list_quads
+from homography_servo.tracking.target import Target
 import numpy as np
 import pytest
 
@@ -39,7 +41,7 @@ def test_the_face_is_found_in_an_empty_world():
 
 
 def test_the_face_is_found_among_other_things():
-    assert found_share(SceneSettings(clutter=1.0), 20) >= 0.85
+    assert found_share(SceneSettings(clutter=1.0), 40) >= 0.95
 
 
 def test_a_camera_nobody_calibrated_will_do():
@@ -81,3 +83,52 @@ def test_quadrilaterals_come_clockwise_and_once():
     assert min(np.abs(np.roll(quad, roll, axis=0) - frame.true_corners_px).max()
                for quad in quads for roll in range(4)) < 4.0
     assert list_quads(np.zeros((480, 640), np.uint8), 500.0).shape == (0, 4, 2)
+
+
+def test_a_side_before_something_as_bright_follows_from_the_others():
+    frame = Scene(CAMERA, FACE_M, 0.0, SceneSettings()).render(
+        pose(tilt_x=-35.0, tilt_y=20.0, turn=12.0), 0.0, 0)
+    first, second = frame.true_corners_px[1:3]
+    middle, edge = 0.5 * (first + second), second - first
+    outwards = np.array([edge[1], -edge[0]])
+    behind = np.array([middle - 0.2 * edge, middle - 0.2 * edge + 0.8 * outwards,
+                       middle + 0.3 * edge + 0.6 * outwards, middle + 0.2 * edge])
+    image = frame.image_grey.copy()
+    cv2.fillPoly(image, [np.rint(behind).astype(np.int32)], 200)
+    face = find_face(image, TARGET._replace(box_height_m=0.0), PLANE)
+    assert np.abs(face.fit.corners - frame.true_corners_px).max() < 2.0
+
+
+@pytest.mark.parametrize('settings, least', [
+    (SceneSettings(noise_grey=10.0), 1.0), (SceneSettings(gradient=0.5), 1.0),
+    (SceneSettings(face_level=40.0, background_level=150.0), 0.9),
+    (SceneSettings(blur_px=2.0), 1.0), (SceneSettings(print_contrast=100.0), 1.0)],
+    ids=['noise', 'gradient', 'dark face', 'blur', 'print'])
+def test_the_face_is_found_whatever_it_looks_like(settings, least):
+    assert found_share(settings, 10) >= least
+
+
+@pytest.mark.parametrize('polarity, found', [(1, True), (-1, False)])
+def test_polarity_is_heeded(polarity, found):
+    frame = Scene(CAMERA, FACE_M, 0.04, SceneSettings()).render(pose(tilt_x=20.0), 0.0, 0)
+    face = find_face(frame.image_grey, TARGET._replace(polarity=polarity), PLANE)
+    assert isinstance(face, Rejected) != found
+
+
+def test_a_lens_that_bends_does_not_hide_the_face():
+    scene = Scene(BENT, FACE_M, 0.04, SceneSettings())
+    frame = scene.render(pose(x=0.2, y=0.12, tilt_x=25.0, tilt_y=15.0), 0.0, 0)
+    plane = Plane(BENT)
+    face = find_face(frame.image_grey, TARGET, plane)
+    assert np.abs(plane.to_image(face.fit.corners) - frame.true_corners_px).max() < 1.0
+
+
+@pytest.mark.parametrize('shape', [(480, 640), (8, 8), (1, 1), (17, 40)])
+def test_an_image_without_edges_has_no_face(shape):
+    for plane in (PLANE, Plane(None)):
+        assert isinstance(find_face(np.full(shape, 90, np.uint8), TARGET, plane), Rejected)
+
+
+def test_noise_alone_is_no_face():
+    image = np.random.default_rng(3).integers(0, 256, (480, 640), np.uint8)
+    assert isinstance(find_face(image, TARGET, PLANE), Rejected)

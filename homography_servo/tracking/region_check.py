@@ -8,8 +8,6 @@ behind it agree.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 from homography_servo.geometry.face import face_corners
 from homography_servo.result import Rejected
 from homography_servo.tracking.box import BoxSides
@@ -18,13 +16,15 @@ from homography_servo.tracking.face_pose import FacePose
 from homography_servo.tracking.face_pose import pose_of_face
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import Look
-from homography_servo.tracking.polygon_fit import Quality
 from homography_servo.tracking.polygon_fit import SnakeFit
 from homography_servo.tracking.quads import grey_at
 from homography_servo.tracking.snake import fit_snake
+from homography_servo.tracking.target import Found
+from homography_servo.tracking.target import rolled
+from homography_servo.tracking.target import STEEPEST
+from homography_servo.tracking.target import Target
 import numpy as np
 
-STEEPEST = 0.35  # cosine of the largest tilt
 LEAST_SCORE = 0.5
 LIKELY_MISS = 0.6  # of the miss of the proportions that is allowed
 FULL_GREY = 50.0  # contrast from which on more is not better
@@ -38,29 +38,8 @@ SLIVER_PX, SIDE_ROUNDS = 0.1, 2  # a miss that a narrow side of the box may caus
 WIDE = Look(1.5, 7, 3, 3, 3, 6.0, 0.5, 1.5)
 
 
-class Target(NamedTuple):
-    """What is looked for."""
-
-    face_size_m: tuple[float, float]
-    box_height_m: float
-    nearest_m: float
-    farthest_m: float
-    polarity: int  # 1 bright face, -1 dark face, 0 unknown
-    blur_px: float
-    guessed_lens: bool = False
-
-
-class Found(NamedTuple):
-    """A face that was found."""
-
-    fit: SnakeFit
-    quality: Quality
-    score: float  # 0..1
-    shape_miss_px: float  # RMS of the corners about the nearest rectangle's projection
-
-
-def examine(image: np.ndarray, quad: np.ndarray, target: Target, plane: Plane,
-            expected: np.ndarray | None = None) -> Found | Rejected:
+def examine(image: np.ndarray, quad: np.ndarray, target: Target,
+            plane: Plane) -> Found | Rejected:
     """Fit a candidate and check that it can be the face."""
     fit = fit_snake(image, quad, WIDE, plane, None, target.polarity)
     if isinstance(fit, Rejected):
@@ -71,12 +50,12 @@ def examine(image: np.ndarray, quad: np.ndarray, target: Target, plane: Plane,
     fit = fit_snake(image, fit.corners, narrow, plane, None, target.polarity)
     if isinstance(fit, Rejected):
         return fit
-    pose, miss_px, turns = best_pose(fit.corners, target.face_size_m, plane)
+    pose, miss_px, turn = best_pose(fit.corners, target.face_size_m, plane)
     allowed_px = 0.4 + (0.03 if target.guessed_lens else 0.01) * _size(fit.corners)
     if SLIVER_PX < miss_px < allowed_px and target.box_height_m > 0.0 \
             and not target.guessed_lens:
-        fit = _with_sides(image, fit, turns[0], target, plane)
-        pose, miss_px, turns = best_pose(fit.corners, target.face_size_m, plane)
+        fit = _with_sides(image, fit, turn, target, plane)
+        pose, miss_px, turn = best_pose(fit.corners, target.face_size_m, plane)
     quality = fit.judged
     if quality.inlier_share < 0.55 or quality.side_share.min() < 0.15:
         return Rejected('the edges do not support the quadrilateral')
@@ -86,20 +65,19 @@ def examine(image: np.ndarray, quad: np.ndarray, target: Target, plane: Plane,
         / float(np.linalg.norm(pose.translation))
     if not target.nearest_m < pose.translation[2] < target.farthest_m or cosine < STEEPEST:
         return Rejected('the face would be out of reach')
-    turn = min(turns, key=lambda number: _turn_cost(fit.corners, number, expected))
     score = quality.inlier_share * quality.side_share.min() ** 0.25 \
         * float(np.exp(-miss_px / (LIKELY_MISS * allowed_px))) * _evenness(fit) \
         * min(abs(quality.contrast) / FULL_GREY, 1.0) ** 0.5
     if score < LEAST_SCORE:  # looking at the sides of the box takes time
         return Rejected('the edges, the evenness and the proportions are not those of the face')
-    score *= _box_evidence(image, fit.corners, turns[0], target, plane)
-    return Found(turned_fit(fit, turn), quality, float(score), miss_px)
+    score *= _box_evidence(image, fit.corners, turn, target, plane)
+    return Found(rolled(fit, turn), float(score))
 
 
 def _with_sides(image: np.ndarray, fit: SnakeFit, turn: int, target: Target,
                 plane: Plane) -> SnakeFit:
     """Fit again with the sides of the box, whose slivers shift the edges of the face."""
-    sides, fit = BoxSides(target.face_size_m, target.box_height_m, plane), turned_fit(fit, turn)
+    sides, fit = BoxSides(target.face_size_m, target.box_height_m, plane), rolled(fit, turn)
     narrow = Look(target.blur_px, NARROW_HALF, iterations=3)
     for _ in range(SIDE_ROUNDS):
         sides.learn(fit.edges, fit.weight, fit.strips, NARROW_HALF)
@@ -112,15 +90,15 @@ def _with_sides(image: np.ndarray, fit: SnakeFit, turn: int, target: Target,
 
 
 def best_pose(quad: np.ndarray, face_size_m: tuple[float, float], plane: Plane
-              ) -> tuple[FacePose | None, float, list[int]]:
+              ) -> tuple[FacePose | None, float, int]:
     """
-    Fit the pose of the face to a quadrilateral in the turns that its proportions allow.
+    Fit the pose of the face to a quadrilateral in either turn.
 
     Returns
     -------
-    FacePose or None, float, list of int
+    FacePose or None, float, int
         The better one, the RMS distance of the corners from its projection [px], and
-        by how many places the corners may be rolled.
+        by how many places the corners must be rolled.
 
     """
     points_m, rays = face_corners(*face_size_m), plane.rays(quad)
@@ -129,10 +107,7 @@ def best_pose(quad: np.ndarray, face_size_m: tuple[float, float], plane: Plane
     pose = rough[better]
     if not isinstance(pose, Rejected):
         pose = pose_of_face(points_m, np.roll(rays, -better, axis=0), pose)
-    turns = [better, better + 2]
-    if abs(face_size_m[0] / face_size_m[1] - 1.0) < 0.02:
-        turns = [0, 1, 2, 3]
-    return (None if isinstance(pose, Rejected) else pose), _missed(pose, plane), turns
+    return (None if isinstance(pose, Rejected) else pose), _missed(pose, plane), better
 
 
 def _missed(pose: FacePose | Rejected, plane: Plane) -> float:
@@ -189,23 +164,3 @@ def _strip_shows(image: np.ndarray, corners: np.ndarray, outline: Outline, side:
     ends = np.minimum(np.abs(behind - common) / CLEAR_GREY, 1.0).mean()
     apart = (np.abs(face - strip) > CLEAR_GREY).mean()
     return float(even ** 2 * ends * apart)
-
-
-def _turn_cost(quad: np.ndarray, turn: int, expected: np.ndarray | None) -> float:
-    corners = np.roll(quad, -turn, axis=0)
-    if expected is not None:
-        away = (corners - corners.mean(axis=0)) - (expected - expected.mean(axis=0))
-        return float(np.abs(away).sum())
-    top = corners[1] - corners[0] + corners[2] - corners[3]
-    return abs(float(np.arctan2(top[1], top[0])))
-
-
-def turned_fit(fit: SnakeFit, turn: int) -> SnakeFit:
-    """Begin the corners of a fit with another one."""
-    if turn == 0:
-        return fit
-    order = np.roll(np.arange(4), -turn)
-    both = (2 * order[:, None] + np.arange(2)).ravel()
-    edges = fit.edges._replace(side=(fit.edges.side - turn) % 4)
-    return fit._replace(corners=fit.corners[order], covariance=fit.covariance[np.ix_(both, both)],
-                        edges=edges)

@@ -1,0 +1,189 @@
+"""
+Compare many views of the box with the picture at once, and move them to fit it.
+
+The face must end at its four sides. Behind a side that shows there is a side of the
+box, of one grey level, another one than the face's; it must end where the pose of the
+face and the height of the box say. Both edges together tell the tilt well, which the
+face alone tells poorly.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from homography_servo.geometry.face import face_corners
+from homography_servo.tracking.outlook import AFTER
+from homography_servo.tracking.outlook import edges_and_normals
+from homography_servo.tracking.outlook import look_across
+from homography_servo.tracking.outlook import Outlook
+from homography_servo.tracking.outlook import Picture
+from homography_servo.tracking.outlook import Rows
+from homography_servo.tracking.outlook import rows_across
+from homography_servo.tracking.plane import Plane
+from homography_servo.tracking.views import linearise
+from homography_servo.tracking.views import moved
+from homography_servo.tracking.views import Views
+import numpy as np
+
+SHARES = np.linspace(0.08, 0.92, 8)
+OUTER = [2, 1, 3]  # edges of a side of the box: at the back, and from the face to it
+INSIDE_PX, REACH_PX, READ = 5.0, 8.0, 14  # a print may begin farther inside
+STRIP_FROM, STRIP_FROM_PX = 0.6, 6.0  # of its width, and at most: where its level is read
+UNEVEN_GREY = 9.0  # along a side of the face, in uneven light
+OFF_PX = 2.2  # from the face
+NARROWEST_PX, WIDE_PX = 2.8, 5.0  # of a side of the box that tells nothing, and all
+ROUGH_PX, NEAR_PX = 4.0, 1.0  # scatter of corners, and of places that agree
+# Logarithms of how much likelier something is with the face and its box than without:
+# that all sides of the face show, and what is lost where none does; that a side of the
+# box ends where it must, over that it does not; that it does not; that none is in view.
+CLEAR_FACE, HIDDEN_FACE = 1.75, 8.0
+SEEN, UNSEEN, NOT_IN_VIEW = 5.0, 2.2, 1.0
+SHOWN = 0.45  # least share of the sides that must show
+BROKEN = 0.5  # weight of changes within the face
+WEAKEST = 0.15  # weight of the side that shows least
+
+
+class BoxOutlook(NamedTuple):
+    """What n views of the box show."""
+
+    face: Outlook  # across the sides of the face
+    back: Outlook | None  # across the far edges of the box's sides
+    rims: Outlook | None  # across the edges from the face to the back, both of each side
+    sure: np.ndarray  # (n, 4) how well those sides can be judged, 0 to 1
+
+    def chosen(self, which: np.ndarray) -> BoxOutlook:
+        """Select some."""
+        back, rims = (None if part is None else part.chosen(which)
+                      for part in (self.back, self.rims))
+        return BoxOutlook(self.face.chosen(which), back, rims, self.sure[which])
+
+
+def look_at(picture: Picture, views: Views, points_m: np.ndarray, plane: Plane,
+            inside_px: float = INSIDE_PX) -> BoxOutlook:
+    """
+    Look across all edges of a box.
+
+    Parameters
+    ----------
+    picture : Picture
+        What is looked at.
+    views : Views
+        Of the face.
+    points_m : (4 or 8, 3) array
+        Corners of the face, and of the back where the box has a height.
+    plane : Plane
+        With a camera.
+    inside_px : float
+        How far inside of its sides the face is looked at.
+
+    Returns
+    -------
+    BoxOutlook
+
+    """
+    front = rows_across(views.corners, SHARES)
+    face = look_across(picture, front, plane, inside_px, -REACH_PX, READ, UNEVEN_GREY)
+    if len(points_m) == 4:
+        return BoxOutlook(face, None, None, np.zeros(face.level.shape))
+    sides, width = _sides(views, points_m, plane)
+    rows = rows_across(sides.reshape(-1, 4, 2), SHARES)
+    rows = Rows(SHARES, rows.place[:, OUTER], rows.inward[:, OUTER])
+    first_px = np.full((*width.shape, len(OUTER)), STRIP_FROM_PX)
+    first_px[..., 0] = np.clip(np.minimum(STRIP_FROM * width, width - OFF_PX), 0.5, STRIP_FROM_PX)
+    seen = look_across(picture, rows, plane, first_px.reshape(-1, len(OUTER)), -REACH_PX, READ)
+    back, rims = (Outlook(SHARES, seen.level[:, 0].reshape(width.shape),
+                          *(part[:, own].reshape(*width.shape, len(own) * len(SHARES))
+                            for part in seen[2:])) for own in ([0], [1, 2]))
+    other = np.abs(back.level - face.level) > picture.other_grey
+    sure = np.clip((width - NARROWEST_PX) / (WIDE_PX - NARROWEST_PX), 0.0, 1.0)
+    return BoxOutlook(face, back._replace(shown=back.shown & other[..., None]),
+                      rims, sure)
+
+
+def _sides(views: Views, points_m: np.ndarray, plane: Plane) -> tuple[np.ndarray, np.ndarray]:
+    """Give the sides of the box (n, 4, 4, 2), and their widths (n, 4), < 0 if turned away."""
+    points = points_m[4:] @ views.rotation.transpose(0, 2, 1) + views.translation[:, None]
+    behind = plane.from_rays(points[..., :2] / np.maximum(points[..., 2:], 1e-6))
+    front, away = views.corners, behind - views.corners
+    normal = edges_and_normals(front)[1]
+    width = -0.5 * (normal * (away + away[:, AFTER])).sum(axis=2)
+    # Clockwise on the screen where they face the camera.
+    return np.stack([front[:, AFTER], front, behind, behind[:, AFTER]], axis=2), width
+
+
+def odds(seen: BoxOutlook, close_px: float) -> np.ndarray:
+    """
+    Tell how much speaks for the face (n,); -inf where too little of it shows.
+
+    Parameters
+    ----------
+    seen : BoxOutlook
+        What is seen.
+    close_px : float
+        From an edge to the farthest change that supports it.
+
+    Returns
+    -------
+    (n,) array
+        Logarithm of how much likelier this is with the face there than without.
+
+    """
+    face = face_merit(seen.face, close_px)
+    told = np.where(face > 0.0, CLEAR_FACE - HIDDEN_FACE * (1.0 - face), -np.inf)
+    if seen.back is None or seen.rims is None:
+        return told
+    shows = 0.5 * (seen.back.closeness(close_px) + seen.rims.closeness(close_px))
+    told += (seen.sure * (SEEN * shows - UNSEEN)).sum(axis=1)
+    return told - NOT_IN_VIEW * np.maximum(1.0 - seen.sure.sum(axis=1), 0.0)
+
+
+def face_merit(face: Outlook, reach_px: float) -> np.ndarray:
+    """Rate how well the sides of the face show (n,), 0 to 1."""
+    support, broken = face.closeness(reach_px), face.broken(reach_px).mean(axis=1)
+    shown = support.mean(axis=1)
+    rated = (1.0 - WEAKEST) * shown + WEAKEST * support.min(axis=1) - BROKEN * broken
+    return np.where(face.even & (shown > SHOWN), np.maximum(rated, 0.0), 0.0)
+
+
+def nearer(views: Views, seen: BoxOutlook, points_m: np.ndarray, plane: Plane) -> Views:
+    """
+    Move views to where the grey levels were found to change.
+
+    Places that disagree count less; what no place shows stays as it was.
+    """
+    slope = linearise(points_m, views.rotation, views.translation)[1]
+    slope = slope.reshape(len(slope), len(points_m), 2, 6) * plane.focal[:, None]
+    points = points_m @ views.rotation.transpose(0, 2, 1) + views.translation[:, None]
+    corners = plane.from_rays(points[..., :2] / np.maximum(points[..., 2:], 1e-6))
+    rows, inward, weight = [], [], []
+    for part, outlook, sure in ((slice(0, 4), seen.face, np.ones(seen.sure.shape)),
+                                (slice(4, 8), seen.back, seen.sure)):
+        if outlook is None:
+            continue
+        normal, own = edges_and_normals(corners[:, part])[1][..., None], slope[:, part]
+        begin, end = ((normal * side).sum(axis=2)[:, :, None] for side in (own, own[:, AFTER]))
+        count = own.shape[0], 4 * len(outlook.share)
+        rows.append((begin + outlook.share[:, None] * (end - begin)).reshape(*count, 6))
+        inward.append(outlook.inward_px.reshape(count))
+        weight.append((outlook.shown * sure[..., None]).reshape(count))
+    step = _step(np.concatenate(rows, axis=1), np.concatenate(inward, axis=1),
+                 np.concatenate(weight, axis=1), slope[:, :4].reshape(len(slope), 8, 6))
+    return moved(views, step, points_m[:4], plane)
+
+
+def _step(rows: np.ndarray, inward: np.ndarray, weight: np.ndarray,
+          corners: np.ndarray) -> np.ndarray:
+    """Solve robustly for the steps (n, 6) that bring edges to where they were seen."""
+    held = corners.transpose(0, 2, 1) @ corners / ROUGH_PX ** 2 + 1e-6 * np.eye(6)
+    miss = inward
+    for scatter_px in (ROUGH_PX, NEAR_PX, NEAR_PX):
+        weighted = rows.transpose(0, 2, 1) * (weight / (1.0 + (miss / scatter_px) ** 2))[:, None]
+        step = np.linalg.solve(weighted @ rows + held, weighted @ inward[..., None])
+        miss = inward - (rows @ step)[..., 0]
+    return step[..., 0]
+
+
+def box_points(face_size_m: tuple[float, float], height_m: float) -> np.ndarray:
+    """Give the corners of the face, and of the back where there is a height (4 or 8, 3)."""
+    front = face_corners(*face_size_m)
+    return np.vstack([front, front + (0.0, 0.0, height_m)]) if height_m > 0.0 else front

@@ -1,0 +1,159 @@
+"""
+List the views of the face that a picture may show, best first.
+
+Straight edges are put together to quadrilaterals, these become views of a rectangle of
+the known size, and the grey levels along their sides and on the sides of the box tell
+how well they fit. All of it runs over all of them at once.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from homography_servo.tracking.box_views import box_points
+from homography_servo.tracking.box_views import face_merit
+from homography_servo.tracking.box_views import look_at
+from homography_servo.tracking.box_views import nearer
+from homography_servo.tracking.box_views import odds
+from homography_servo.tracking.outlook import look_across
+from homography_servo.tracking.outlook import Picture
+from homography_servo.tracking.outlook import rows_across
+from homography_servo.tracking.plane import Plane
+from homography_servo.tracking.segments import find_pieces
+from homography_servo.tracking.segments import NO_PIECES
+from homography_servo.tracking.segments import shrunk
+from homography_servo.tracking.segments import straightened
+from homography_servo.tracking.side_quads import find_quads
+from homography_servo.tracking.sides import join_pieces
+from homography_servo.tracking.target import STEEPEST
+from homography_servo.tracking.target import Target
+from homography_servo.tracking.views import Views
+from homography_servo.tracking.views import views_of_face
+from homography_servo.tracking.views import with_mirrored
+import numpy as np
+from scipy.special import expit
+
+LEAST_IMAGE_PX = 16
+ROUGH_MISS_PX, ROUGH_MISS = 3.0, 0.03  # of rough corners from a view, and by its size
+ROUGH_SHARES, ROUGH_PX, ROUGH_READ = np.linspace(0.12, 0.88, 4), 9.0, 7
+CLOSE_PX = 4.0  # from an edge to the farthest change that supports it
+ROUGH_SAME_PX, SAME_PX = 7.0, 4.0
+
+
+class Effort(NamedTuple):
+    """How many views are looked at, at most, each time more closely."""
+
+    rough: int
+    near: int
+    fitted: int
+    clear_odds: float  # those whose logarithm is lower by this than the best are left out
+    least_odds: float  # logarithm that is enough
+
+
+class Candidates(NamedTuple):
+    """Views that may be the face, best first."""
+
+    views: Views
+    odds: np.ndarray  # (n,) logarithm of how much likelier each is the face than not
+
+
+class RoughViews(NamedTuple):
+    """Views of the face that straight edges allow."""
+
+    views: Views
+    merit: np.ndarray  # (n,) how well the sides of the face show, 0 to 1
+
+
+def rough_views(picture: Picture, target: Target, plane: Plane) -> RoughViews:
+    """
+    List views of the face by their sides alone.
+
+    Parameters
+    ----------
+    picture : Picture
+        Where to look.
+    target : Target
+        The face and where it may be.
+    plane : Plane
+        With a camera.
+
+    Returns
+    -------
+    RoughViews
+
+    """
+    pieces = NO_PIECES if min(picture.grey.shape) < LEAST_IMAGE_PX \
+        else find_pieces(shrunk(picture.grey), target.polarity)
+    quads = find_quads(join_pieces(straightened(pieces, plane)), target.face_size_m, plane)
+    views = views_of_face(quads, target.face_size_m, plane,
+                          (target.nearest_m, target.farthest_m))
+    size = np.linalg.norm(np.ptp(views.corners, axis=1), axis=1)
+    views = views.chosen((views.miss_px < ROUGH_MISS_PX + ROUGH_MISS * size)
+                         & in_reach(views, target))
+    seen = look_across(picture, rows_across(views.corners, ROUGH_SHARES), plane, ROUGH_PX,
+                       -ROUGH_PX, ROUGH_READ)
+    return RoughViews(views, face_merit(seen, ROUGH_PX))
+
+
+def find_candidates(picture: Picture, rough: RoughViews, target: Target, plane: Plane,
+                    effort: Effort) -> Candidates:
+    """
+    Move the best views closer, and rank them with the sides of the box.
+
+    Parameters
+    ----------
+    picture : Picture
+        Where to look.
+    rough : RoughViews
+        To begin with.
+    target : Target
+        The face and where it may be.
+    plane : Plane
+        With a camera.
+    effort : Effort
+        How many to consider.
+
+    Returns
+    -------
+    Candidates
+
+    """
+    points_m = box_points(target.face_size_m, target.box_height_m)
+    views = rough.views.chosen(_distinct(rough.views, rough.merit, effort.rough, ROUGH_SAME_PX))
+    seen = look_at(picture, views, points_m[:4], plane, ROUGH_PX)
+    views = nearer(views, seen, points_m[:4], plane)
+    seen = look_at(picture, views, points_m[:4], plane)
+    chosen = _distinct(views, face_merit(seen.face, CLOSE_PX), effort.near)
+    views = with_mirrored(views.chosen(chosen))
+    views = nearer(views, look_at(picture, views, points_m, plane), points_m, plane)
+    seen = look_at(picture, views, points_m, plane)
+    told = np.where(in_reach(views, target), odds(seen, CLOSE_PX), -np.inf)
+    best = _distinct(views, expit(told), effort.fitted)
+    if len(best):
+        best = best[told[best] >= told[best[0]] - effort.clear_odds]
+    return Candidates(nearer(views.chosen(best), seen.chosen(best), points_m, plane), told[best])
+
+
+def in_reach(views: Views, target: Target) -> np.ndarray:
+    """Tell which views are where the face can be (n,)."""
+    depth = views.translation[:, 2]
+    return (depth > target.nearest_m) & (depth < target.farthest_m) & (views.facing > STEEPEST)
+
+
+def _distinct(views: Views, merit: np.ndarray, most: int,
+              same_px: float = SAME_PX) -> np.ndarray:
+    """Choose the best ones with some merit, the first of those that are alike."""
+    order = np.argsort(-merit, kind='stable')
+    order = order[merit[order] > 0.0][:4 * most]
+    low, high = views.corners[order].min(axis=1), views.corners[order].max(axis=1)
+    marks = np.concatenate([low, high], axis=1)
+    alike = (np.abs(marks[:, None] - marks) < same_px).all(axis=2)
+    kept: list[int] = []
+    free = np.ones(len(order), bool)
+    for index in range(len(order)):
+        if free[index]:
+            kept.append(index)
+            free &= ~alike[index]
+        if len(kept) == most:
+            break
+    return order[kept]

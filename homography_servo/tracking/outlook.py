@@ -1,0 +1,190 @@
+"""
+Look whether surfaces end at the edges of many quadrilaterals, at once.
+
+From inside to outside the grey level must stay that of the surface until the edge and
+leave it there. Where it stays, something of the same level lies behind and hides the
+edge; where it has left before, something is wrong.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+from homography_servo.tracking.plane import Plane
+import numpy as np
+
+UNLIKE_GREY = 20.0  # levels inside of the sides of a face in uneven light
+LEVEL_SAMPLES = 2  # innermost ones, which tell the level
+LONGEST, PACE = 7, 0.25  # pixels of a transition; its slope over the steepest before
+START = 2.0  # beginning of a transition, over the difference that noise cannot explain
+NOISE_ROWS, DIFFERENCE_MEDIAN = 16, 0.954  # median difference of two pixels over the noise
+SMOOTHED, STRONGLY_SMOOTHED = (3, 0.375), (5, 0.273)  # kernel; share of the noise it leaves
+NOISY_GREY = 5.0
+NOISE_SIGMAS, LEAST_GREY = 5.0, 5.0  # differences that are none of the noise's, nor the light's
+BEFORE, AFTER = [3, 0, 1, 2], [1, 2, 3, 0]  # neighbours of the corners
+
+
+class Picture(NamedTuple):
+    """A picture to look at."""
+
+    grey: np.ndarray  # (H, W) uint8
+    smooth: np.ndarray  # (H, W) uint8
+    other_grey: float  # a difference in the smooth one that noise cannot explain
+
+
+class Rows(NamedTuple):
+    """Places on the edges of n quadrilaterals, k on each edge."""
+
+    share: np.ndarray  # (k,) where on the edge, 0 to 1
+    place: np.ndarray  # (n, 4, k, 2) in the plane
+    inward: np.ndarray  # (n, 4, k, 2) way inwards; one pixel away from the edge
+
+
+class Outlook(NamedTuple):
+    """What is seen across the edges."""
+
+    share: np.ndarray  # (k,) where on the edge
+    level: np.ndarray  # (n, 4) inside
+    inward_px: np.ndarray  # (n, 4, k) where the level changes, inwards of the edge
+    shown: np.ndarray  # (n, 4, k) whether it changes within reach
+
+    def chosen(self, which: np.ndarray) -> Outlook:
+        """Select some."""
+        return Outlook(self.share, *(part[which] for part in self[1:]))
+
+    def closeness(self, reach_px: float) -> np.ndarray:
+        """Rate how near the edges the level changes (n, 4), 0 to 1."""
+        near = np.maximum(1.0 - (self.inward_px / reach_px) ** 2, 0.0)
+        return (self.shown * near).mean(axis=2)
+
+    def broken(self, near_px: float) -> np.ndarray:
+        """Give the share of each edge (n, 4) where the level changes far inside."""
+        return (self.shown & (self.inward_px >= near_px)).mean(axis=2)
+
+    @property
+    def even(self) -> np.ndarray:
+        """Tell whether there is one level inside of all four edges (n,)."""
+        return np.abs(self.level - median(self.level)[:, None]).max(axis=1) < UNLIKE_GREY
+
+
+def smoothed(image: np.ndarray) -> Picture:
+    """Smooth a picture, and tell by how much its pixels differ that noise cannot explain."""
+    part = image[::NOISE_ROWS].astype(np.int16)
+    noise = float(np.median(np.abs(part[:, 1:] - part[:, :-1]))) / DIFFERENCE_MEDIAN \
+        if image.shape[1] > 1 else 0.0
+    size, left = STRONGLY_SMOOTHED if noise > NOISY_GREY else SMOOTHED
+    return Picture(image, cv2.GaussianBlur(image, (size, size), 0),
+                   max(NOISE_SIGMAS * left * noise, LEAST_GREY))
+
+
+def look_across(picture: Picture, rows: Rows, plane: Plane, first_px: float | np.ndarray,
+                last_px: float, count: int, uneven_grey: float = 0.0) -> Outlook:
+    """
+    Follow the grey level from inside to outside.
+
+    Parameters
+    ----------
+    picture : Picture
+        What is looked at.
+    rows : Rows
+        Where to cross the edges.
+    plane : Plane
+        Straightens the lens.
+    first_px : float or (n, 4) array
+        How far inside of each edge to begin.
+    last_px : float
+        And where to end; negative outside.
+    count : int
+        Pixels to read on the way.
+    uneven_grey : float
+        How much the level may differ along the edge, if that is more than noise explains.
+
+    Returns
+    -------
+    Outlook
+
+    """
+    first_px = np.broadcast_to(first_px, rows.place.shape[:2])
+    step_px = (first_px - last_px)[:, :, None] / (count - 1)
+    begin, end = (np.nan_to_num(plane.to_image(rows.place + depth_px * rows.inward).astype(
+        np.float32), posinf=-1.0, nan=-1.0, neginf=-1.0)  # outside, where no lens shows it
+        for depth_px in (first_px[:, :, None, None], last_px))
+    way = end - begin
+    share = np.linspace(0.0, 1.0, count, dtype=np.float32)
+    u, v = (begin[..., axis, None] + share * way[..., axis, None] for axis in (0, 1))
+    grey, inside = _read(picture.smooth, u, v)
+    own = grey[..., :LEVEL_SAMPLES].mean(axis=3)
+    level = median(own)
+    other_grey = picture.other_grey
+    other = np.abs(grey - own[..., None]) > other_grey
+    uneven = np.abs(own - level[..., None]) > max(uneven_grey, other_grey)
+    change = np.argmax(other, axis=3)
+    start = np.arange(0, grey.size, count).reshape(change.shape)
+    shown = (other & inside).ravel().take(start + change)
+    middle = _middle(grey, start, change, own, START * other_grey)
+    inward = first_px[:, :, None] - step_px * (change - 0.5 + middle)
+    inward = np.where(uneven, first_px[:, :, None], inward)
+    return Outlook(rows.share, level, inward, shown | uneven)
+
+
+def _middle(grey: np.ndarray, start: np.ndarray, change: np.ndarray,
+            own: np.ndarray, start_grey: float) -> np.ndarray:
+    """
+    Give the middle of the transition that begins at a change, in pixels read.
+
+    It lasts as long as the level goes on changing the same way at a similar pace, so
+    that a sliver of something else beside the edge does not shift it.
+    """
+    last, flat = grey.shape[-1] - 1, grey.ravel()
+    read = [flat.take(start + np.minimum(np.maximum(change + more, 0), last))
+            for more in range(-1, LONGEST)]
+    sign = np.where(read[1] > own, 1.0, -1.0).astype(np.float32)
+    steepest = total = np.maximum(sign * (read[1] - read[0]), 0.0)
+    moment, lasting = np.zeros_like(total), np.ones(total.shape, bool)
+    for more in range(1, LONGEST):
+        step = sign * (read[more + 1] - read[more])
+        lasting &= (step > PACE * steepest) | (total < start_grey)
+        step = np.where(lasting, np.maximum(step, 0.0), 0.0)
+        steepest, total = np.maximum(steepest, step), total + step
+        moment += more * step
+    return moment / np.maximum(total, 1e-6)
+
+
+def rows_across(corners: np.ndarray, share: np.ndarray) -> Rows:
+    """
+    Cross the sides of quadrilaterals (n, 4, 2), clockwise on the screen.
+
+    The way inwards leans like the neighbouring sides, so that it does not cross them.
+    """
+    edge, normal = edges_and_normals(corners)
+    begin, end = -edge[:, BEFORE, None], edge[:, AFTER, None]
+    way = begin + share[:, None] * (end - begin)
+    deep = (way * normal[:, :, None]).sum(axis=-1, keepdims=True)
+    return Rows(share, corners[:, :, None] + share[:, None] * edge[:, :, None],
+                way / np.maximum(deep, 1e-6))
+
+
+def edges_and_normals(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Give the sides (n, 4, 2) of quadrilaterals and their unit vectors inwards."""
+    edge = corners[:, AFTER] - corners
+    length = np.sqrt((edge * edge).sum(axis=-1, keepdims=True))
+    return edge, edge[..., ::-1] * (-1.0, 1.0) / np.maximum(length, 1e-9)
+
+
+def median(values: np.ndarray) -> np.ndarray:
+    """Give the upper median along the last axis, quickly."""
+    half = values.shape[-1] // 2
+    return np.partition(values, half, axis=-1)[..., half]
+
+
+def _read(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Interpolate grey levels, and tell which places are inside the image."""
+    height, width = image.shape
+    inside = (u >= 0.0) & (u <= width - 1.0) & (v >= 0.0) & (v <= height - 1.0)
+    if not u.size:
+        return np.zeros(u.shape, np.float32), inside
+    lines = u.size // u.shape[-1], u.shape[-1]
+    grey = cv2.remap(image, u.reshape(lines), v.reshape(lines), cv2.INTER_LINEAR,
+                     borderMode=cv2.BORDER_REPLICATE)
+    return grey.reshape(u.shape).astype(np.float32), inside

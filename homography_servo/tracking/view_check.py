@@ -1,0 +1,137 @@
+"""
+Fit a view of the face to the picture, and weigh what speaks for it.
+
+The corners are fitted like in tracking, but held to what a rectangle of the known size
+can look like, so that a side that is hidden follows from the others; narrow sides of
+the box are taken into account. Then the picture is compared once more with the view
+that came out, and it is tried whether the corners stay a view of the face when nothing
+holds them: those of another thing hardly do.
+"""
+
+from __future__ import annotations
+
+import math
+
+from homography_servo.result import Rejected
+from homography_servo.tracking.box import BoxSides
+from homography_servo.tracking.box import RIGID_SIGMA_PX
+from homography_servo.tracking.box_views import box_points
+from homography_servo.tracking.box_views import look_at
+from homography_servo.tracking.box_views import odds
+from homography_servo.tracking.outlook import Picture
+from homography_servo.tracking.plane import Plane
+from homography_servo.tracking.polygon_fit import Look
+from homography_servo.tracking.polygon_fit import Prior
+from homography_servo.tracking.polygon_fit import SnakeFit
+from homography_servo.tracking.snake import fit_snake
+from homography_servo.tracking.target import Found
+from homography_servo.tracking.target import Target
+from homography_servo.tracking.views import Views
+import numpy as np
+
+GUESSED_SIGMA = 0.01  # of the corners about a view through a guessed lens, by the size
+CLOSEST_PX = 2.5  # from an edge to the farthest change that supports it
+HALF, STEPS, SIDE_ROUNDS = 5, 3, 2
+LEAST_INLIERS = 0.5
+SEEN_SIDE, SIDES_NEEDED = 0.3, 3
+# RMS distance of free corners from a view: of the face, and how much more of other things.
+OWN_MISS_PX, OTHER_MISS_PX = 0.1, 0.35
+MOST_AGAINST = 3.0  # a miss that is no accident: something hides a part of a side
+
+
+def check_view(picture: Picture, corners: np.ndarray, target: Target,
+               plane: Plane) -> Found | Rejected:
+    """
+    Fit a candidate and weigh it.
+
+    Parameters
+    ----------
+    picture : Picture
+        What is seen.
+    corners : (4, 2) array
+        To within a pixel or so, in the plane; the first is the face's first, or third.
+    target : Target
+        The face and where it may be.
+    plane : Plane
+        With a camera.
+
+    Returns
+    -------
+    Found or Rejected
+        Its merit is the logarithm of how much likelier it is the face than not.
+
+    """
+    box = BoxSides(target.face_size_m, target.box_height_m, plane)
+    fit = _held_fit(picture.grey, corners, box, target, plane)
+    if isinstance(fit, Rejected):
+        return fit
+    quality = fit.judged
+    if quality.inlier_share < LEAST_INLIERS \
+            or np.count_nonzero(quality.side_share > SEEN_SIDE) < SIDES_NEEDED:
+        return Rejected('the edges do not support the quadrilateral')
+    outline = box.outline(fit.corners)
+    if isinstance(outline, Rejected):
+        return outline
+    view = Views(fit.corners[None], outline.pose.rotation[None],
+                 outline.pose.translation[None], np.zeros(1))
+    seen = look_at(picture, view, box_points(target.face_size_m, target.box_height_m), plane)
+    return Found(fit, float(odds(seen, CLOSEST_PX)[0])
+                 + _shape_odds(picture.grey, fit, box, target, plane))
+
+
+def _held_fit(image: np.ndarray, corners: np.ndarray, box: BoxSides, target: Target,
+              plane: Plane) -> SnakeFit | Rejected:
+    """Fit a view of the face, and again with the sides of the box."""
+    outline = box.outline(corners)
+    if isinstance(outline, Rejected):
+        return outline
+    look = Look(target.blur_px, HALF, iterations=STEPS)
+    fit = fit_snake(image, corners, look, plane, _held(outline.rigid, target), target.polarity)
+    for _ in range(SIDE_ROUNDS if target.box_height_m > 0.0 else 0):
+        if isinstance(fit, Rejected):
+            return fit
+        box.learn(fit.edges, fit.weight, fit.strips, HALF)
+        strips, rigid = box.strips(fit.corners)
+        if rigid is None:
+            return fit
+        again = fit_snake(image, fit.corners, look, plane, _held(rigid, target), target.polarity,
+                          strips)
+        fit = again or fit
+    return fit
+
+
+def _held(rigid: Prior, target: Target) -> Prior:
+    """Hold corners to a view of the face as firmly as the lens is known."""
+    if not target.guessed_lens:
+        return rigid
+    softer = RIGID_SIGMA_PX / (GUESSED_SIGMA * _size_px(rigid.corners))
+    return rigid._replace(information=rigid.information * softer ** 2)
+
+
+def _size_px(corners: np.ndarray) -> float:
+    return float(np.linalg.norm(np.ptp(corners, axis=0)))
+
+
+def _shape_odds(image: np.ndarray, fit: SnakeFit, box: BoxSides, target: Target,
+                plane: Plane) -> float:
+    """
+    Let the corners go, and tell how much speaks for the face in where they stay.
+
+    Their miss of the nearest view has two degrees of freedom of eight: it is compared
+    with what noise and lens allow, and with that of other quadrilaterals of about these
+    proportions.
+    """
+    free = fit_snake(image, fit.corners, Look(target.blur_px, HALF, iterations=STEPS), plane,
+                     None, target.polarity, fit.strips)
+    if isinstance(free, Rejected):
+        return 0.0
+    outline = box.outline(free.corners)
+    if isinstance(outline, Rejected):
+        return -MOST_AGAINST
+    square = float(plane.focal.mean() ** 2 * np.mean(outline.pose.miss ** 2))
+    own = OWN_MISS_PX ** 2 + float(np.trace(free.covariance)) / 32.0
+    if target.guessed_lens:
+        own += (GUESSED_SIGMA * _size_px(fit.corners)) ** 2
+    other = own + OTHER_MISS_PX ** 2
+    told = math.log(other / own) - 0.5 * square * (1.0 / own - 1.0 / other)
+    return max(told, -MOST_AGAINST)
