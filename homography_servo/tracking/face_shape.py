@@ -11,6 +11,7 @@ learnt, and every picture need measure little more than a pose.
 from __future__ import annotations
 
 import math
+from operator import mul
 from typing import NamedTuple
 
 from homography_servo.result import Rejected
@@ -25,22 +26,6 @@ MEAN_GAIN, SPREAD_GAIN = 0.1, 0.05  # of a picture among earlier ones
 MOST_SURPRISED = 9.0  # squared surprise that counts, over the usual: 3 sigmas
 LEAST_TOLD = 0.1  # share of the prior's variance that a picture must remove to teach
 LEAST_AREA = 1e-9  # of a triangle of corners, normalised coordinates
-TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # points (x, y) @ TURN are (y, -x)
-
-
-def _triangles() -> np.ndarray:
-    """Give the differences of corners that are the slopes of d_j by corner k: (16, 4)."""
-    slopes = np.zeros((4, 4, 4))
-    for left_out in range(4):
-        first, second, third = (corner for corner in range(4) if corner != left_out)
-        for corner, plus, minus in ((first, second, third), (second, third, first),
-                                    (third, first, second)):
-            slopes[left_out, corner, plus], slopes[left_out, corner, minus] = 1.0, -1.0
-    return slopes.reshape(16, 4)
-
-
-TRIANGLES = _triangles()
-AT_REST = (0.0, 0.0, 0.0)
 
 
 class Bent(NamedTuple):
@@ -57,9 +42,12 @@ class Bent(NamedTuple):
                          / self.scale[2]))
 
 
-def angle_and_ratio(rays: np.ndarray) -> tuple[float, float, np.ndarray] | Rejected:
+def angle_and_ratio(rays: np.ndarray
+                    ) -> tuple[float, float, list[float], list[float]] | Rejected:
     """
     Find the angle and the ratio of the sides of a parallelogram from its view.
+
+    In plain floats: for so few numbers what numpy costs is the number of calls.
 
     Parameters
     ----------
@@ -68,31 +56,46 @@ def angle_and_ratio(rays: np.ndarray) -> tuple[float, float, np.ndarray] | Rejec
 
     Returns
     -------
-    float, float, (2, 8) array
+    float, float, list of float, list of float
         Cosine of the angle between the sides 0-1 and 0-3, log of the ratio of their
-        lengths, and the slopes of both by the rays.
+        lengths, and the slopes of the one and the other by the eight coordinates.
 
     """
-    slopes = (TRIANGLES @ (rays @ TURN)).reshape(4, 8)  # of the areas
-    area = 0.5 * (slopes @ rays.ravel())
-    areas, ends = area.tolist(), rays.tolist()
-    if min(areas) < LEAST_AREA:
+    points = (x0, y0), (x1, y1), (x2, y2), (x3, y3) = rays.tolist()
+    # Twice the areas of the triangles that corners 0, 1 and 3 are left out of.
+    areas = d0, d1, d3 = ((x2 - x1) * (y3 - y1) - (y2 - y1) * (x3 - x1),
+                          (x2 - x0) * (y3 - y0) - (y2 - y0) * (x3 - x0),
+                          (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0))
+    if min(d0, d1, d3, d1 + d3 - d0) < LEAST_AREA:
         return Rejected('the corners lie on a line')
-    origin, right, _, down = ((x * d, y * d, d) for (x, y), d in zip(ends, areas))
-    ax, ay, az = (end - start for end, start in zip(right, origin))
-    bx, by, bz = (end - start for end, start in zip(down, origin))
+    a = ax, ay, az = d1 * x1 - d0 * x0, d1 * y1 - d0 * y0, d1 - d0
+    b = bx, by, bz = d3 * x3 - d0 * x0, d3 * y3 - d0 * y0, d3 - d0
     aa, bb = ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz
     both = 1.0 / math.sqrt(aa * bb)
     cosine = both * (ax * bx + ay * by + az * bz)
-    p, q, r, s, t = both, cosine / aa, cosine / bb, 1.0 / aa, -1.0 / bb
-    by_right = ((p * bx - q * ax, p * by - q * ay, p * bz - q * az), (s * ax, s * ay, s * az))
-    by_down = ((p * ax - r * bx, p * ay - r * by, p * az - r * bz), (t * bx, t * by, t * bz))
-    by_corner = np.array([((-ux - vx, -uy - vy, -uz - vz), (ux, uy, uz), AT_REST, (vx, vy, vz))
-                          for (ux, uy, uz), (vx, vy, vz) in zip(by_right, by_down)])
-    flat = by_corner[:, :, :2]
-    by_area = np.add.reduce(flat * rays, axis=2) + by_corner[:, :, 2]
-    return cosine, 0.5 * math.log(aa / bb), \
-        (flat * area[:, None]).reshape(2, 8) + by_area @ slopes
+    by_a, by_b = cosine / aa, cosine / bb
+    return (cosine, 0.5 * math.log(aa / bb),
+            _by_corners(points, areas, [both * v - by_a * u for u, v in zip(a, b)],
+                        [both * u - by_b * v for u, v in zip(a, b)]),
+            _by_corners(points, areas, [u / aa for u in a], [-v / bb for v in b]))
+
+
+def _by_corners(points: list[list[float]], areas: tuple[float, float, float],
+                by_a: list[float], by_b: list[float]) -> list[float]:
+    """Turn slopes by the sides a = d1 m1 - d0 m0 and b = d3 m3 - d0 m0 into those by corners."""
+    ((x0, y0), (x1, y1), (x2, y2), (x3, y3)), (d0, d1, d3) = points, areas
+    (ux, uy, uz), (vx, vy, vz) = by_a, by_b
+    wx, wy = ux + vx, uy + vy
+    by_d0, by_d1, by_d3 = (-wx * x0 - wy * y0 - uz - vz, ux * x1 + uy * y1 + uz,
+                           vx * x3 + vy * y3 + vz)
+    return [by_d1 * (y2 - y3) + by_d3 * (y1 - y2) - d0 * wx,
+            by_d1 * (x3 - x2) + by_d3 * (x2 - x1) - d0 * wy,
+            by_d0 * (y2 - y3) + by_d3 * (y2 - y0) + d1 * ux,
+            by_d0 * (x3 - x2) + by_d3 * (x0 - x2) + d1 * uy,
+            by_d0 * (y3 - y1) + by_d1 * (y3 - y0) + by_d3 * (y0 - y1),
+            by_d0 * (x1 - x3) + by_d1 * (x0 - x3) + by_d3 * (x1 - x0),
+            by_d0 * (y1 - y2) + by_d1 * (y0 - y2) + d3 * vx,
+            by_d0 * (x2 - x1) + by_d1 * (x2 - x0) + d3 * vy]
 
 
 class FaceShape:
@@ -155,13 +158,13 @@ class FaceShape:
         found = angle_and_ratio(self._plane.rays(corners))
         if isinstance(found, Rejected):
             return None
-        cosine, ratio, slopes = found
-        slopes = (slopes.reshape(2, 4, 2) / self._plane.focal).reshape(2, 8)
-        first, second = slopes
-        one = math.sqrt(float(first @ first))
-        first /= one
-        both = float(first @ second)
-        second -= both * first
-        two = math.sqrt(float(second @ second))
-        second /= two
-        return Bent((cosine, ratio), slopes, (one, both, two))
+        cosine, ratio, first, second = found
+        per_px = [1.0 / focal for focal in self._plane.focal.tolist()] * 4
+        first, second = list(map(mul, first, per_px)), list(map(mul, second, per_px))
+        one = math.hypot(*first)
+        first = [slope / one for slope in first]
+        both = sum(map(mul, first, second))
+        second = [slope - both * along for slope, along in zip(second, first)]
+        two = math.hypot(*second)
+        axes = np.array((first, [slope / two for slope in second]))
+        return Bent((cosine, ratio), axes, (one, both, two))

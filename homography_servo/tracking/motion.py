@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import lru_cache
 import math
 
-import cv2
 from homography_servo.result import required
 from homography_servo.tracking.polygon_fit import Prior
 import numpy as np
@@ -105,11 +104,9 @@ def _unit(size: int) -> np.ndarray:
 
 def both(first: Prior, second: Prior) -> Prior:
     """Combine two priors that are independent of each other."""
-    information = first.information + second.information
-    pull = first.information @ first.corners.ravel() \
-        + second.information @ second.corners.ravel()
-    _, corners = cv2.solve(information, pull[:, None], flags=cv2.DECOMP_CHOLESKY)
-    return Prior(corners.reshape(first.corners.shape), information, first.free)
+    away = (second.corners - first.corners).ravel()
+    return Prior(first.corners, first.information + second.information, first.free,
+                 second.information @ away)
 
 
 def similarity_basis(corners: np.ndarray) -> np.ndarray:

@@ -29,6 +29,7 @@ class Prior(NamedTuple):
     corners: np.ndarray  # (m, 2) [px]
     information: np.ndarray  # (2m, 2m) [1/px^2]
     free: np.ndarray | None = None  # (2m, 4) orthonormal columns that are left free
+    pull: np.ndarray | None = None  # (2m,) [1/px] what draws away from these corners
 
 
 class Look(NamedTuple):
@@ -182,7 +183,8 @@ def _add_widths(information: np.ndarray, target: np.ndarray, edges: Edges,
 def _held(prior: Prior | None, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if prior is None:
         return 1e-9 * np.eye(corners.size), np.zeros(corners.size)
-    return prior.information, prior.information @ (prior.corners - corners).ravel()
+    pull = prior.information @ (prior.corners - corners).ravel()
+    return prior.information, pull if prior.pull is None else pull + prior.pull
 
 
 def _side_middles(votes: np.ndarray, side: np.ndarray, usable: np.ndarray,

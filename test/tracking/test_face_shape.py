@@ -36,13 +36,13 @@ def fitted(prior, measured):
 
 @pytest.mark.parametrize('angles', [(0, 0, 0), (30, -20, 70), (-50, 10, 200), (5, 60, -130)])
 def test_any_view_of_a_rectangle_has_its_angle_and_ratio(angles):
-    cosine, ratio, _ = angle_and_ratio(view(angles))
+    cosine, ratio, *_ = angle_and_ratio(view(angles))
     assert (cosine, ratio) == pytest.approx((0.0, math.log(SIZE_M[0] / SIZE_M[1])), abs=1e-9)
 
 
 def test_slopes_are_those_of_finite_differences():
     rays = view((25, -35, 40)) + np.random.default_rng(3).normal(0.0, 0.002, (4, 2))
-    slopes, step = angle_and_ratio(rays)[2], 1e-6
+    slopes, step = np.array(angle_and_ratio(rays)[2:]), 1e-6
     for column, move in enumerate(step * np.eye(8).reshape(8, 4, 2)):
         high, low = (np.array(angle_and_ratio(rays + sign * move)[:2]) for sign in (1, -1))
         assert slopes[:, column] == pytest.approx((high - low) / (2.0 * step), rel=1e-5, abs=1e-5)
