@@ -107,15 +107,18 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
     geometry, layout = side_geometry(corners), scan.layout
     first, step, scale = line_distances(scan, geometry)
     place = profile.places(first, step, len(scan.grey))
-    edge = profile.share_and_slope(place)
+    table = np.empty((3, *place.shape), np.float32)
+    edge = profile.share_and_slope(place, table[:2])
     cut_corners(scan, geometry, profile, first, step, edge)
-    edge = edge[:, :, :layout.total]
+    edge, table = edge[:, :, :layout.total], table[:, :, :layout.total]
     back = None if strips is None else strips.mix_in(scan, profile, place, scale, edge)
-    sums = _sums(scan, edge)
+    table[2] = scan.grey
+    sums = _sums(scan, table)
+    slope_share, slope_slope, slope_grey, slope_along = sums.by_slope
     levels = fit_levels(sums, scan, known, memory)
     contrast, residual, known = levels.contrast, levels.residual, levels.known
-    response = sums.slope_grey - levels.outside * sums.slope - contrast * sums.slope_share
-    precision = contrast * contrast * sums.slope_slope * levels.kept + 1e-9
+    response = slope_grey - levels.outside * sums.plain[1] - contrast * slope_share
+    precision = contrast * contrast * slope_slope * levels.kept + 1e-9
     offset = _straightened(contrast * response / precision, profile.sigma_px)
     variance = residual / precision
     if scale is not None:
@@ -128,7 +131,7 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
         second = _second(scan, back, edge, levels.outside, contrast, residual / levels.kept)
         if scale is not None:
             second = second.in_plane(scale.take(layout.first_line.take(second.segment)))
-    return Edges(side, sums.slope_along / np.maximum(sums.slope_slope, 1e-9),
+    return Edges(side, slope_along / np.maximum(slope_slope, 1e-9),
                  geometry.normal.take(side, axis=1), inward, variance,
                  contrast, levels.outside, residual, sums.one, known, common, second)
 
@@ -169,17 +172,17 @@ def _with_common(inward: np.ndarray, variance: np.ndarray, sums: Sums,
     return inward + doubtful * learnt, common + doubtful * learnt
 
 
-def _sums(scan: Scan, edge: np.ndarray) -> Sums:
+def _sums(scan: Scan, parts: np.ndarray) -> Sums:
+    """Sum up share, slope and grey level of the pixels (3, k, n) and their products."""
     pixels, lines = scan.grey.shape
-    table = np.empty((9, lines), np.float32)
-    np.matmul(_ones(pixels), edge, out=table[:2, None])
-    np.einsum('akn,kn->an', edge, scan.grey, out=table[2:4])
-    np.einsum('akn,bkn->abn', edge, edge, out=table[4:8].reshape(2, 2, lines))
-    np.multiply(table[7], scan.along, out=table[8])
-    share, slope, share_grey, slope_grey, share_share, slope_share, _, slope_slope, slope_along \
-        = np.add.reduceat(table, scan.layout.first_line, axis=1, dtype=float)
-    return Sums(scan.layout.lines * float(pixels), scan.grey_sum, share, share_share, share_grey,
-                slope, slope_share, slope_slope, slope_grey, slope_along)
+    table = np.empty((10, lines), np.float32)
+    np.matmul(_ones(pixels), parts, out=table[:3, None])
+    np.einsum('akn,bkn->abn', parts[:2], parts, out=table[3:9].reshape(2, 3, lines))
+    np.multiply(table[7], scan.along, out=table[9])
+    sums = np.empty((11, len(scan.layout.lines)))
+    np.multiply(scan.layout.lines, float(pixels), out=sums[0])
+    np.add.reduceat(table, scan.layout.first_line, axis=1, dtype=float, out=sums[1:])
+    return Sums(sums)
 
 
 @lru_cache(maxsize=32)

@@ -21,29 +21,40 @@ MEMORY_GAIN = 0.1  # of a picture among earlier ones
 STEADY_GREY = 0.8  # grey levels that change less from picture to picture are remembered
 FIRST_SPREAD_GREY = 1.0  # of grey levels from picture to picture before that is known
 MEDIAN_TO_SIGMA = 1.48
+LEAST_SQUARE = 1e-8  # of the shares about their mean
 MEMORY_OF_SPREAD = 0.8  # share of earlier pictures in the spread that counts
 
 
 class Sums(NamedTuple):
-    """Sums over the pixels of each segment."""
+    """Sums over the pixels of each segment; one table, so that all are added to at once."""
 
-    one: np.ndarray
-    grey: np.ndarray
-    share: np.ndarray
-    share_share: np.ndarray
-    share_grey: np.ndarray
-    slope: np.ndarray
-    slope_share: np.ndarray
-    slope_slope: np.ndarray
-    slope_grey: np.ndarray
-    slope_along: np.ndarray
+    table: np.ndarray  # (11, s) in the order of the properties below
+
+    @property
+    def one(self) -> np.ndarray:
+        """Count the pixels (s,)."""
+        return self.table[0]
+
+    @property
+    def plain(self) -> np.ndarray:
+        """Sum up share, slope and grey level of the pixels (3, s)."""
+        return self.table[1:4]
+
+    @property
+    def by_share(self) -> np.ndarray:
+        """Sum up the products of these with the share (3, s)."""
+        return self.table[4:7]
+
+    @property
+    def by_slope(self) -> np.ndarray:
+        """Sum up the products of share, slope, grey level and place with the slope (4, s)."""
+        return self.table[7:]
 
 
 class Known(NamedTuple):
     """Grey levels from other pixels than those across the edge, outside and inside."""
 
-    pixels: np.ndarray  # (4, s) how many they count for: two rows of far, two of common levels
-    grey: np.ndarray  # (4, s) sum of their grey levels
+    table: np.ndarray  # (8, s) how many they count for, far and common; sums of their grey
     common: list[float]  # two levels that most segments share in this picture
     spread: list[float]  # four, of far and of common levels about the segments' own
     doubt: float  # how far the common level could give in to an offset of all sides, 0 to 1
@@ -106,28 +117,26 @@ def fit_levels(sums: Sums, scan: Scan, known: Known | None,
     Levels
 
     """
-    inverse = 1.0 / _determinant(sums)
-    outside, contrast = _two_levels(sums, inverse)
+    own = _two_levels(sums)
     # At the least squares solution the explained part is the product with the data.
-    missed = scan.grey_square - outside * sums.grey - contrast * sums.share_grey
+    missed = scan.grey_square - own.outside * sums.plain[2] - own.contrast * sums.by_share[2]
     residual = np.maximum(missed, 0.01) / (sums.one - 2.0)
     if known is None:
-        known = _learn(np.array((outside, outside + contrast)), scan, middle(residual), memory)
-    sums = with_pixels(sums, known.pixels[:2] + known.pixels[2:],
-                       known.grey[:2] + known.grey[2:])
-    inverse = 1.0 / _determinant(sums)
-    return Levels(*_two_levels(sums, inverse), _kept(sums, inverse), residual, known)
+        known = _learn(own, scan, middle(residual), memory)
+    sums = _with_known(sums, known, ALL_KNOWN)
+    fit = _two_levels(sums)
+    return Levels(fit.outside, fit.contrast, _kept(sums, fit), residual, known)
 
 
-def _learn(levels: np.ndarray, scan: Scan, noise: float,
-           memory: LevelMemory | None) -> Known:
+def _learn(fit: TwoLevels, scan: Scan, noise: float, memory: LevelMemory | None) -> Known:
     """Let far pixels and other segments pin the levels down as far as they are alike."""
-    lines, common = scan.layout.lines, middles(levels)
-    table, away = np.empty((4, len(lines))), np.empty((4, len(lines)))
-    table[:2] = scan.far
-    np.subtract(scan.far, levels, out=away[:2])
-    np.subtract(common, levels, out=away[2:])
-    np.abs(away, out=away)
+    lines = scan.layout.lines
+    levels, table = np.empty((2, len(lines))), np.empty((8, len(lines)))
+    levels[0] = fit.outside
+    np.add(fit.outside, fit.contrast, out=levels[1])
+    common, (pixels, grey) = middles(levels), table.reshape(2, 4, -1)
+    grey[:2], grey[2:] = scan.far, common
+    away = np.abs(grey.reshape(2, 2, -1) - levels).reshape(4, -1)
     spread = [MEDIAN_TO_SIGMA * value for (value,) in middles(away).tolist()]
     own = believed = [value for (value,) in common.tolist()]
     doubt = 1.0
@@ -139,9 +148,10 @@ def _learn(levels: np.ndarray, scan: Scan, noise: float,
         spread = [new + MEMORY_OF_SPREAD * (old - new)
                   for old, new in zip(memory.spread, spread)]
     counted, limit = _pixels(spread, noise, float(lines[len(lines) // 2]), len(scan.grey))
-    table[2], table[3] = believed
-    pixels = (away < limit) * counted  # others have a level of their own
-    return Known(pixels, table * pixels, own, spread, doubt)
+    grey[2], grey[3] = believed
+    np.multiply(away < limit, counted, out=pixels)  # others have a level of their own
+    grey *= pixels
+    return Known(table, own, spread, doubt)
 
 
 def _pixels(spread: list[float], noise: float, lines: float, across: int) -> np.ndarray:
@@ -178,34 +188,53 @@ def _pixels(spread: list[float], noise: float, lines: float, across: int) -> np.
 
 def kept_alone(sums: Sums, known: Known) -> np.ndarray:
     """Give the share of the offset's information that is kept without other segments (s,)."""
-    sums = with_pixels(sums, known.pixels[:2], known.grey[:2])
-    return _kept(sums, 1.0 / _determinant(sums))
+    sums = _with_known(sums, known, FAR_KNOWN)
+    return _kept(sums, _two_levels(sums))
 
 
-def _two_levels(sums: Sums, inverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Solve for the level outside and the contrast."""
-    contrast = (sums.one * sums.share_grey - sums.share * sums.grey) * inverse
-    return (sums.grey - contrast * sums.share) / sums.one, contrast
+class TwoLevels(NamedTuple):
+    """Levels fitted to the sums over each segment; arrays (s,)."""
+
+    outside: np.ndarray
+    contrast: np.ndarray
+    slant: np.ndarray  # of the slope over the share
+    mean: np.ndarray  # (3, s) of share, slope and grey level
+    centred: np.ndarray  # (3, s) products with the share about these means
 
 
-def _determinant(sums: Sums) -> np.ndarray:
-    return np.maximum(sums.one * sums.share_share - sums.share * sums.share, 1e-6)
+def _two_levels(sums: Sums) -> TwoLevels:
+    """Solve for the level outside and the contrast by elimination of the former."""
+    plain = sums.plain
+    mean = plain / sums.one
+    share = mean[0]
+    centred = sums.by_share - share * plain
+    slant, contrast = centred[1:] / np.maximum(centred[0], LEAST_SQUARE)
+    return TwoLevels(mean[2] - contrast * share, contrast, slant, mean, centred)
 
 
-def _kept(sums: Sums, inverse: np.ndarray) -> np.ndarray:
+def _kept(sums: Sums, fit: TwoLevels) -> np.ndarray:
     """Give the share of the offset's information that unknown levels leave."""
-    slope, slope_share = sums.slope, sums.slope_share
-    taken = slope * (sums.share_share * slope - 2.0 * sums.share * slope_share) \
-        + sums.one * slope_share * slope_share
-    return np.maximum(1.0 - taken * inverse / (sums.slope_slope + 1e-9), 0.1)
+    taken = sums.plain[1] * fit.mean[1] + fit.centred[1] * fit.slant
+    return np.maximum(1.0 - taken / (sums.by_slope[1] + 1e-9), 0.1)
 
 
-def with_pixels(sums: Sums, pixels: np.ndarray, grey: np.ndarray) -> Sums:
+def _with_known(sums: Sums, known: Known, adds: np.ndarray) -> Sums:
     """Add pixels of known grey level far outside and far inside."""
-    inside, grey_inside = pixels[1], grey[1]
-    return Sums(sums.one + (pixels[0] + inside), sums.grey + (grey[0] + grey_inside),
-                sums.share + inside, sums.share_share + inside, sums.share_grey + grey_inside,
-                *sums[5:])
+    table = sums.table.copy()
+    table[:7] += adds @ known.table
+    return Sums(table)
+
+
+def _adds() -> np.ndarray:
+    """Say which sums (7) pixels outside and inside and their grey levels add to: (7, 8)."""
+    adds = np.zeros((7, 2, 2, 2))  # counts or grey levels; far or common; outside or inside
+    adds[0, 0] = adds[3, 1] = 1.0
+    adds[[1, 4], 0, :, 1] = adds[6, 1, :, 1] = 1.0
+    return adds.reshape(7, 8)
+
+
+ALL_KNOWN = _adds()
+FAR_KNOWN = ALL_KNOWN * (1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0)
 
 
 def middle(values: np.ndarray) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import compress
 import math
 from typing import NamedTuple
 
@@ -11,7 +12,6 @@ from homography_servo.result import Rejected
 from homography_servo.result import required
 from homography_servo.tracking.edges import Edges
 from homography_servo.tracking.edges import SecondEdge
-from homography_servo.tracking.levels import middle
 from homography_servo.tracking.scan import Scan
 from homography_servo.tracking.strips import Strips
 import numpy as np
@@ -190,11 +190,14 @@ def _held(prior: Prior | None, corners: np.ndarray) -> tuple[np.ndarray, np.ndar
 def _side_middles(votes: np.ndarray, side: np.ndarray, usable: np.ndarray,
                   count: int) -> np.ndarray:
     """Give each segment the median of its side's usable ones; sides come in order."""
-    ends = side.searchsorted(_counted(count + 1)).tolist()
-    all_usable, middles = bool(usable.all()), []
-    for first, last in zip(ends, ends[1:]):
-        own = votes[first:last] if all_usable else votes[first:last][usable[first:last]]
-        middles.append(middle(own) if len(own) else 0.0)
+    ends, all_votes = side.searchsorted(_counted(count + 1)).tolist(), votes.tolist()
+    used = None if usable.all() else usable.tolist()
+    middles = []
+    for first, last in zip(ends, ends[1:]):  # so few are sorted faster as plain floats
+        own = all_votes[first:last] if used is None \
+            else list(compress(all_votes[first:last], used[first:last]))
+        own.sort()
+        middles.append(own[len(own) // 2] if own else 0.0)
     return np.array(middles).take(side)
 
 

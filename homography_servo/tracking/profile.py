@@ -56,9 +56,10 @@ class EdgeProfile:
         place += np.float32(STEPS_PER_PX) * (first_px + np.float32(REACH_PX + 0.5 / STEPS_PER_PX))
         return place.astype(np.intp)
 
-    def share_and_slope(self, place: np.ndarray) -> np.ndarray:
-        """Look up both (2, ...)."""
-        both = np.empty((2, *place.shape), np.float32)
+    def share_and_slope(self, place: np.ndarray, both: np.ndarray | None = None) -> np.ndarray:
+        """Look up both (2, ...), float32, into a given array if there is one."""
+        if both is None:
+            both = np.empty((2, *place.shape), np.float32)
         self._share.take(place, mode='clip', out=both[0])
         self._slope.take(place, mode='clip', out=both[1])
         return both
