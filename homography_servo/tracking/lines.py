@@ -8,6 +8,8 @@ changes from picture to picture and is worked out once.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from functools import lru_cache
 import math
 from typing import NamedTuple
@@ -29,12 +31,13 @@ class Side(NamedTuple):
     ahead: bool  # whether columns or rows grow along the side
 
 
-class Layout(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Layout:
     """
     Which lines belong to which side and segment.
 
     There are n lines in s segments. Arrays of n + c entries repeat the c lines that are
-    close to a corner.
+    close to a corner. Equal only to itself, so that what follows from it can be cached.
     """
 
     own: np.ndarray  # (n + c,) the line's side
@@ -48,10 +51,18 @@ class Layout(NamedTuple):
     segment_side: np.ndarray  # (s,)
     rising: np.ndarray  # (s,) whether lines run towards the inside
 
-    @property
+    @cached_property
     def total(self) -> int:
         """Give the number of lines."""
         return len(self.own) - len(self.near)
+
+    @cached_property
+    def outside_inside(self) -> np.ndarray:
+        """Order the sums before and after the lines of the segments, flat, that way: (2, s)."""
+        number, count = np.arange(len(self.lines)), len(self.lines)
+        before, after = number, number + count
+        return np.array((np.where(self.rising, before, after),
+                         np.where(self.rising, after, before)))
 
 
 class Lines(NamedTuple):

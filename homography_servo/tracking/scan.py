@@ -142,25 +142,28 @@ def _read(half: int) -> tuple[np.ndarray, np.ndarray]:
     return pixels[:, None], np.equal.outer([0, 2, 1], part).astype(np.float32)
 
 
+@lru_cache(maxsize=64)
+def _away(layout: Layout, half: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Say how far in memory the pixels (k, n) are from the first of a line, and its step."""
+    step = (np.array((1.0, width)) @ layout.step).astype(np.intp)
+    return _read(half)[0] * step[:layout.total], step
+
+
 def _gather(image: np.ndarray, plane: Plane, half: int, lines: Lines) -> Scan:
-    layout, total, (read, parts) = lines.layout, lines.layout.total, _read(half)
-    to_pixel = np.array([1.0, image.shape[1]])
-    first, step = (to_pixel @ lines.start).astype(np.intp), \
-        (to_pixel @ layout.step).astype(np.intp)
-    pixel = read * step[:total]
-    pixel += first[:total]
-    grey = image.reshape(-1).take(pixel).astype(np.float32)
+    layout, total, width = lines.layout, lines.layout.total, image.shape[1]
+    away, step = _away(layout, half, width)
+    first = (lines.start[0] + width * lines.start[1]).astype(np.intp)
+    grey = image.reshape(-1).take(away + first[:total]).astype(np.float32)
     close = grey[FAR_READ:-FAR_READ]
     table = np.empty((4, total), np.float32)
-    np.matmul(parts, grey, out=table[:3])
+    np.matmul(_read(half)[1], grey, out=table[:3])
     np.einsum('ij,ij->j', close, close, out=table[3])
-    low_high, (grey_sum, grey_square) = np.add.reduceat(
-        table, layout.first_line, axis=1, dtype=float).reshape(2, 2, -1)
-    far = np.where(layout.rising, low_high, low_high[::-1]) / (FAR_READ * layout.lines)
+    sums = np.add.reduceat(table, layout.first_line, axis=1, dtype=float)
+    far = sums[:2].take(layout.outside_inside)
+    far /= FAR_READ * layout.lines
     start, advance = _in_plane(plane, first, step, half) if plane.bent \
         else (lines.start, layout.step)
-    return Scan(close, far, grey_sum, grey_square, start, advance, lines.along, layout,
-                plane.bent)
+    return Scan(close, far, sums[2], sums[3], start, advance, lines.along, layout, plane.bent)
 
 
 def _in_plane(plane: Plane, first: np.ndarray, step: np.ndarray,

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
+from homography_servo.tracking.lines import Layout
 from homography_servo.tracking.profile import EdgeProfile
 from homography_servo.tracking.scan import Geometry
 from homography_servo.tracking.scan import Scan
@@ -35,14 +38,16 @@ def cut_corners(scan: Scan, geometry: Geometry, profile: EdgeProfile, first: np.
     """
     layout, total = scan.layout, scan.layout.total
     near, alike = layout.near, geometry.normal.T @ geometry.normal
-    skew = -alike[layout.own[total:], layout.side[total:]].astype(np.float32)
+    skew = -alike.take(_pairs(layout, len(alike))).astype(np.float32)
     own, (cut_share, cut_slope) = edge.take(near, axis=2), edge[:, :, total:]
-    if np.abs(skew).max(initial=0.0) < SQUARE:
+    if np.maximum.reduce(np.abs(skew), initial=0.0) < SQUARE:
         edge[:, :, near] = own * cut_share
         return
     count = np.arange(len(scan.grey), dtype=np.float32)[:, None]
-    away = first.take(near) + count * step.take(near)
-    beyond = first[total:] + count * step[total:]
+    away = count * step.take(near)
+    away += first.take(near)
+    beyond = count * step[total:]
+    beyond += first[total:]
     variance = np.float32(profile.sigma_px ** 2)
     twist = skew * cut_slope
     half = beyond
@@ -57,3 +62,9 @@ def cut_corners(scan: Scan, geometry: Geometry, profile: EdgeProfile, first: np.
     twist -= half
     slope *= twist
     edge[:, :, near] = own
+
+
+@lru_cache(maxsize=64)
+def _pairs(layout: Layout, corner_count: int) -> np.ndarray:
+    """Give each repeated line (c,) one number for its own side and the one across."""
+    return layout.own[layout.total:] * corner_count + layout.side[layout.total:]
