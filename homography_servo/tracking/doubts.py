@@ -29,7 +29,7 @@ def weak_support(fit: SnakeFit, settings: TrackerSettings) -> str:
         return f'the contrast of the edges is {quality.contrast:.0f} grey levels'
     if quality.inlier_share < settings.min_inlier_share:
         return f'only {quality.inlier_share:.0%} of the lines agree'
-    if np.count_nonzero(quality.side_share > SEEN_SIDE) < SIDES_NEEDED:
+    if sum(share > SEEN_SIDE for share in quality.side_share.tolist()) < SIDES_NEEDED:
         return 'fewer than three sides are visible'
     if fit.moved_px > SETTLED_PX:
         return f'the fit has not settled: it moves by {fit.moved_px:.1f} px'
@@ -114,4 +114,5 @@ class FaceCheck:
     def _miss_px(self, pose: FacePose | Rejected) -> float:
         if isinstance(pose, Rejected):
             return math.inf
-        return float(self._plane.focal.mean() * np.sqrt(np.mean(pose.miss ** 2)))
+        focal, miss = self._plane.focal.tolist(), pose.miss
+        return 0.5 * sum(focal) * math.sqrt(float(np.vdot(miss, miss)) / miss.size)

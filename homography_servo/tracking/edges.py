@@ -143,11 +143,10 @@ def line_distances(scan: Scan, geometry: Geometry
 
     Distances are in pixels of the image; the scale is None where the plane is the image.
     """
-    side = scan.layout.side
-    normal = geometry.normal.take(side, axis=1)
-    first = np.add.reduce(normal * scan.start, axis=0)
-    first -= geometry.level.take(side)
-    step = np.add.reduce(normal * scan.step, axis=0)
+    normal_u, normal_v, level = geometry.line.take(scan.layout.side, axis=1)
+    first = normal_u * scan.start[0] + normal_v * scan.start[1]
+    first -= level
+    step = normal_u * scan.step[0] + normal_v * scan.step[1]
     if not scan.bent:
         return first.astype(np.float32), step.astype(np.float32), None
     scale = 1.0 / np.sqrt(np.add.reduce(scan.step * scan.step, axis=0))

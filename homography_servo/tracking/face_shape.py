@@ -138,7 +138,7 @@ class FaceShape:
             return
         (corners, bent, move), self._asked = self._asked, None
         first, second = (bent.axes @ (fit.corners - corners).ravel() - move).tolist()
-        left = 0.5 * float(((bent.axes @ fit.covariance) * bent.axes).sum())
+        left = 0.5 * float(np.vdot(bent.axes @ fit.covariance, bent.axes))
         told = self._variance - left  # what the picture took away
         share = told / self._variance
         if share < LEAST_TOLD:

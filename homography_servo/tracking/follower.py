@@ -188,7 +188,6 @@ class Follower:
             self._motion = Motion()
         self._motion.measured(fit.corners, stamp_s)
         self._accepted += 1
-        good = fit.weight > INLIER_WEIGHT
         self._learn_sides(fit)
         if self._accepted % REMEMBER_EVERY == 1:
             self._locator.remember(image, self._plane.to_image(fit.corners))
@@ -201,7 +200,7 @@ class Follower:
             return  # its edges are too weak to learn from
         self._shape.learn(fit)
         if self._accepted <= REFOCUS_FIRST or self._accepted % REFOCUS_EVERY == 0:
-            clean = good if fit.edges.second is None else good & fit.edges.single
+            clean = (fit.weight > INLIER_WEIGHT) & fit.edges.single
             self.blur_px = refocus(required(fit.scan, 'scan'), fit.corners, clean, self.blur_px)
 
     def _locate(self, image: np.ndarray, corners: np.ndarray) -> np.ndarray | None:
@@ -228,7 +227,7 @@ class Follower:
             return fit
         settings, following = self.settings, self.following
         doubt = weak_support(fit, settings) or surprise(fit, prior, settings, following)
-        if not doubt and (fit.judged.side_share.min() <= CLEAR_SIDE
+        if not doubt and (min(fit.judged.side_share.tolist()) <= CLEAR_SIDE
                           or self._accepted % CHECK_EVERY == 0):
             doubt = self._face.doubt(fit.corners, settings) or self._elsewhere(image, fit)
         return Rejected(doubt) if doubt else fit

@@ -64,8 +64,8 @@ class Motion:
         if self._change is not None and self._changed > 0.0:
             change = self.period(stamp_s) * self._change
             # A jump is a change that nobody has seen before: it will not come again.
-            usual = USUAL_CHANGES * math.sqrt(self._changed / max(float((change * change).sum()),
-                                                                  1e-12))
+            usual = USUAL_CHANGES * math.sqrt(
+                self._changed / max(float(np.vdot(change, change)), 1e-12))
             share = min(max(self._repeated / self._changed, LEAST_REPEATED), 1.0)
             expected = expected + share * min(usual, 1.0) * change
         self._prior = shape_prior(expected, SURPRISES * self._surprise_px)
@@ -110,20 +110,18 @@ def both(first: Prior, second: Prior) -> Prior:
 
 
 def similarity_basis(corners: np.ndarray) -> np.ndarray:
-    """Give orthonormal columns (2m, 4) of common shift, turn and scale."""
-    away = corners - np.add.reduce(corners, axis=0) / len(corners)
-    flat = away.reshape(-1)
-    flat *= 1.0 / math.sqrt(flat @ flat)
-    basis = _shifts(len(corners)).copy()
-    basis[:, 2] = flat
-    basis[1::2, 3] = away[:, 0]
-    np.negative(away[:, 1], out=basis[::2, 3])
-    return basis
+    """
+    Give orthonormal columns (2m, 4) of common shift, turn and scale.
 
-
-@lru_cache(maxsize=8)
-def _shifts(count: int) -> np.ndarray:
-    """Give orthonormal columns of the common shift, and two more for turn and scale."""
-    basis = np.zeros((count, 2, 4))
-    basis[:, 0, 0] = basis[:, 1, 1] = count ** -0.5
-    return basis.reshape(2 * count, 4)
+    In plain floats: for so few numbers what numpy costs is the number of calls.
+    """
+    points = corners.tolist()
+    count = len(points)
+    centre_u = sum([u for u, _ in points]) / count
+    centre_v = sum([v for _, v in points]) / count
+    away = [(u - centre_u, v - centre_v) for u, v in points]
+    shift = count ** -0.5
+    size = max(math.hypot(*[math.hypot(u, v) for u, v in away]), 1e-12)
+    rows = [row for u, v in away for row in ((shift, 0.0, u / size, -v / size),
+                                             (0.0, shift, v / size, u / size))]
+    return np.array(rows)

@@ -191,7 +191,7 @@ def _side_middles(votes: np.ndarray, side: np.ndarray, usable: np.ndarray,
                   count: int) -> np.ndarray:
     """Give each segment the median of its side's usable ones; sides come in order."""
     ends, all_votes = side.searchsorted(_counted(count + 1)).tolist(), votes.tolist()
-    used = None if usable.all() else usable.tolist()
+    used = None if np.count_nonzero(usable) == len(usable) else usable.tolist()
     middles = []
     for first, last in zip(ends, ends[1:]):  # so few are sorted faster as plain floats
         own = all_votes[first:last] if used is None \

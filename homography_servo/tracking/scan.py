@@ -23,7 +23,6 @@ import numpy as np
 FAR_STEP = 2  # every so manieth of them is read
 FAR_READ = FAR_PX // FAR_STEP
 FARTHEST_PX = 1e4  # corners further outside of the image are no place to look
-INWARDS = np.array([[-1.0], [1.0]])  # turns an edge (v, u) into its normal (u, v)
 
 
 class Geometry(NamedTuple):
@@ -33,6 +32,7 @@ class Geometry(NamedTuple):
     length: np.ndarray  # (m,)
     normal: np.ndarray  # (2, m) inwards where corners run clockwise on the screen
     level: np.ndarray  # (m,) normal . corner
+    line: np.ndarray  # (3, m) normal and level
 
 
 class Scan(NamedTuple):
@@ -55,12 +55,15 @@ class Scan(NamedTuple):
 
 
 def side_geometry(corners: np.ndarray) -> Geometry:
-    """Describe the sides of a polygon (m, 2)."""
-    edge = corners.take(_next(len(corners)), axis=0) - corners
-    across = edge.T[::-1] * INWARDS
-    length = np.sqrt(np.add.reduce(edge * edge, axis=1)) + 1e-12
-    normal = across / length
-    return Geometry(edge, length, normal, np.add.reduce(normal * corners.T, axis=0))
+    """Describe the sides of a polygon (m, 2); in plain floats, for there are so few."""
+    points, rows = corners.tolist(), []
+    for (u, v), (next_u, next_v) in zip(points, points[1:] + points[:1]):
+        along_u, along_v = next_u - u, next_v - v
+        length = math.sqrt(along_u * along_u + along_v * along_v) + 1e-12
+        normal_u, normal_v = -along_v / length, along_u / length
+        rows.append((along_u, along_v, length, normal_u, normal_v, normal_u * u + normal_v * v))
+    table = np.array(rows).T.copy()
+    return Geometry(table[:2].T, table[2], table[3:5], table[5], table[3:])
 
 
 @lru_cache(maxsize=8)

@@ -8,7 +8,7 @@ from homography_servo.result import Rejected
 from homography_servo.tracking.edges import Edges
 from homography_servo.tracking.edges import measure_edges
 from homography_servo.tracking.levels import LevelMemory
-from homography_servo.tracking.levels import middles
+from homography_servo.tracking.levels import middle
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import fit_polygon
 from homography_servo.tracking.polygon_fit import Look
@@ -100,18 +100,17 @@ def quality_of(fit: SnakeFit) -> Quality:
     """Summarise the support of a fit."""
     edges, count = fit.edges, len(fit.corners)
     inlier = fit.weight > INLIER_WEIGHT
-    total = np.maximum(np.bincount(edges.side, edges.pixels, count), 1.0)
-    supported = np.bincount(edges.side, edges.pixels * inlier, count)
-    noise, share = math.sqrt(noise_of(edges.residual, edges.pixels)), supported / total
-    levels = np.array((edges.contrast, edges.outside + edges.contrast, fit.miss))
+    total = supported = np.bincount(edges.side, edges.pixels, count)
+    contrast, outside, miss = edges.contrast, edges.outside, fit.miss
     if np.count_nonzero(inlier) < len(inlier):
-        levels = levels[:, inlier]
-    if not levels.size:
+        supported = np.bincount(edges.side, edges.pixels * inlier, count)
+        contrast, outside, miss = contrast[inlier], outside[inlier], miss[inlier]
+    noise, share = math.sqrt(noise_of(edges.residual, edges.pixels)), \
+        supported / np.maximum(total, 1.0)
+    if not len(miss):
         return Quality(0.0, share, 0.0, np.inf, noise, 0.0)
-    (contrast,), (inside,) = middles(levels[:2]).tolist()
-    miss = levels[2]
-    return Quality(sum(supported.tolist()) / sum(total.tolist()), share, contrast,
-                   math.sqrt(float(miss @ miss) / len(miss)), noise, inside)
+    return Quality(sum(supported.tolist()) / sum(total.tolist()), share, middle(contrast),
+                   math.sqrt(float(miss @ miss) / len(miss)), noise, middle(outside + contrast))
 
 
 def sound(corners: np.ndarray) -> bool:
