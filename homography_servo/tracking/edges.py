@@ -23,6 +23,7 @@ from homography_servo.tracking.levels import LevelMemory
 from homography_servo.tracking.levels import Levels
 from homography_servo.tracking.levels import middle
 from homography_servo.tracking.levels import Sums
+from homography_servo.tracking.lines import Layout
 from homography_servo.tracking.profile import EdgeProfile
 from homography_servo.tracking.scan import Geometry
 from homography_servo.tracking.scan import Scan
@@ -51,6 +52,7 @@ class Edges(NamedTuple):
     known: Known
     common: float  # offset that all segments share
     second: SecondEdge | None
+    layout: Layout  # of the lines that they were measured on
 
     @property
     def single(self) -> np.ndarray:
@@ -133,7 +135,7 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
             second = second.in_plane(scale.take(layout.first_line.take(second.segment)))
     return Edges(side, slope_along / np.maximum(slope_slope, 1e-9),
                  geometry.normal.take(side, axis=1), inward, variance,
-                 contrast, levels.outside, residual, sums.one, known, common, second)
+                 contrast, levels.outside, residual, sums.one, known, common, second, layout)
 
 
 def line_distances(scan: Scan, geometry: Geometry

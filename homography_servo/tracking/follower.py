@@ -40,7 +40,6 @@ REMEMBER_EVERY, KEY_EVERY = 5, 12
 MOST_ROUNDS = 6  # of a first fit, until it is sure
 ROUND_PX = 8  # sides of a face that is followed are cut to a multiple of this
 DONE_SIGMAS = 20.0  # a step leaves about 1/20 of itself: less than what noise moves
-NEARBY_PX, APART_PX = 12.0, 4.0  # search for the face beside edges that may not be its own
 
 
 class Follower:
@@ -143,9 +142,7 @@ class Follower:
         SnakeFit or Rejected
 
         """
-        fit = self._fine(image, prior)
-        if not fit:
-            fit = self._near(image, prior, WIDE)
+        fit = self._fine(image, prior) or self._near(image, prior, WIDE)
         if not fit:
             corners = self._locate(image, prior.corners)
             if corners is not None:
@@ -193,9 +190,8 @@ class Follower:
             self._locator.remember(image, self._plane.to_image(fit.corners))
         if not self._print.known and self._accepted % KEY_EVERY == 1:
             self._print.remember(image, fit.corners)
-        known = fit.edges.known
-        self._memory = LevelMemory.first(known) if self._memory is None \
-            else self._memory.updated(known)
+        known, memory = fit.edges.known, self._memory
+        self._memory = LevelMemory.first(known) if memory is None else memory.updated(known)
         if fit.by_print:
             return  # its edges are too weak to learn from
         self._shape.learn(fit)
@@ -234,11 +230,8 @@ class Follower:
 
     def _elsewhere(self, image: np.ndarray, fit: SnakeFit) -> str:
         """Compare with how the face looked where a side shows no edge; it may be hidden."""
-        if self._motion is None or fit.judged.side_share.min() > SEEN_SIDE:
-            return ''
-        corners_px = self._plane.to_image(fit.corners)
-        found_px = self._locator.locate(image, corners_px, NEARBY_PX)
-        if found_px is None or np.abs(found_px - corners_px).max() < APART_PX:
+        if not self.following or min(fit.judged.side_share.tolist()) > SEEN_SIDE \
+                or not self._locator.beside(image, self._plane.to_image(fit.corners)):
             return ''
         return 'the face looks to be beside the edges that were found'
 
@@ -252,5 +245,4 @@ class Follower:
         look = Look(blur_px, half, done_sigmas=DONE_SIGMAS,
                     round_px=ROUND_PX if self.following else 1)
         return fit_snake(image, prior.corners, look, self._plane, held,
-                         POLARITIES[self.settings.polarity], strips,
-                         None if self._motion is None else self._memory)
+                         POLARITIES[self.settings.polarity], strips, self._memory)

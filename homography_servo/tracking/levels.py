@@ -206,10 +206,9 @@ def _two_levels(sums: Sums) -> TwoLevels:
     """Solve for the level outside and the contrast by elimination of the former."""
     plain = sums.plain
     mean = plain / sums.one
-    share = mean[0]
-    centred = sums.by_share - share * plain
+    centred = sums.by_share - mean[0] * plain
     slant, contrast = centred[1:] / np.maximum(centred[0], LEAST_SQUARE)
-    return TwoLevels(mean[2] - contrast * share, contrast, slant, mean, centred)
+    return TwoLevels(mean[2] - contrast * mean[0], contrast, slant, mean, centred)
 
 
 def _kept(sums: Sums, fit: TwoLevels) -> np.ndarray:

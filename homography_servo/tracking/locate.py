@@ -14,6 +14,7 @@ GRID_PX = 3.0  # distance of the samples
 MARGIN_PX = 9.0  # of the surroundings that belong to the view
 LEAST_SIDE = 4  # samples
 LIKE = 0.6  # correlation of the right place
+NEARBY_PX, APART_PX = 12.0, 4.0  # search for the face beside edges that may not be its own
 
 
 class Locator:
@@ -63,6 +64,11 @@ class Locator:
         shift = (column - extra) * GRID_PX * across / np.linalg.norm(across) \
             + (row - extra) * GRID_PX * down / np.linalg.norm(down)
         return corners + shift
+
+    def beside(self, image: np.ndarray, corners: np.ndarray) -> bool:
+        """Tell whether the face looks to be near by rather than at these corners [px]."""
+        found = self.locate(image, corners, NEARBY_PX)
+        return found is not None and not np.abs(found - corners).max() < APART_PX
 
 
 def _axes(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

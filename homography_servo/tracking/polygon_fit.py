@@ -12,6 +12,7 @@ from homography_servo.result import Rejected
 from homography_servo.result import required
 from homography_servo.tracking.edges import Edges
 from homography_servo.tracking.edges import SecondEdge
+from homography_servo.tracking.lines import Layout
 from homography_servo.tracking.scan import Scan
 from homography_servo.tracking.strips import Strips
 import numpy as np
@@ -114,7 +115,7 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
     held, pull = _held(prior, corners)
     miss = inward
     if first:  # the mean of a side would follow outliers
-        miss = inward - _side_middles(inward, edges.side, usable, len(corners))
+        miss = inward - _side_middles(inward, edges.layout, usable, len(corners))
     for sure_px in (look.first_sure_px, look.sure_px) if first else (look.sure_px,):
         variance = _variance(edges, miss) + beyond
         weight = 1.0 - miss * miss / (ROBUST_SIGMAS ** 2 * (variance + sure_px * sure_px))
@@ -134,7 +135,7 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
         if float(np.maximum.reduce(np.maximum(np.abs(before), np.abs(miss)))) < look.sure_px:
             break  # weights would hardly change
     return SnakeFit(corners + shift.reshape(corners.shape), covariance, edges, weight, miss,
-                    shift, float(np.maximum.reduce(np.abs(shift))))
+                    shift, max(map(abs, shift.tolist())))
 
 
 def _variance(edges: Edges, miss: np.ndarray) -> np.ndarray:
@@ -156,17 +157,18 @@ def _variance(edges: Edges, miss: np.ndarray) -> np.ndarray:
 
 def polygon_rows(edges: Edges, corner_count: int) -> np.ndarray:
     """Say how each segment's inward offset follows from moves of the corners: (2 m, s)."""
-    own, change = _ends(corner_count)
-    share = own.take(edges.side, axis=1)  # of each corner in a segment's place
-    share += change.take(edges.side, axis=1) * edges.along
+    own, change = _shares(edges.layout, corner_count)
+    share = change * edges.along  # of each corner in a segment's place
+    share += own
     return (share[:, None] * edges.normal).reshape(2 * corner_count, -1)
 
 
-@lru_cache(maxsize=8)
-def _ends(corner_count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Give the share of each corner in the start of each side, and its change to the end."""
+@lru_cache(maxsize=64)
+def _shares(layout: Layout, corner_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Give the shares of the corners at the start of a segment's side, and their change."""
     start = np.eye(corner_count)
-    return start, np.roll(start, 1, axis=0) - start
+    change = np.roll(start, 1, axis=0) - start
+    return start.take(layout.segment_side, axis=1), change.take(layout.segment_side, axis=1)
 
 
 def _add_widths(information: np.ndarray, target: np.ndarray, edges: Edges,
@@ -187,10 +189,10 @@ def _held(prior: Prior | None, corners: np.ndarray) -> tuple[np.ndarray, np.ndar
     return prior.information, pull if prior.pull is None else pull + prior.pull
 
 
-def _side_middles(votes: np.ndarray, side: np.ndarray, usable: np.ndarray,
+def _side_middles(votes: np.ndarray, layout: Layout, usable: np.ndarray,
                   count: int) -> np.ndarray:
     """Give each segment the median of its side's usable ones; sides come in order."""
-    ends, all_votes = side.searchsorted(_counted(count + 1)).tolist(), votes.tolist()
+    ends, all_votes = _side_ends(layout, count), votes.tolist()
     used = None if np.count_nonzero(usable) == len(usable) else usable.tolist()
     middles = []
     for first, last in zip(ends, ends[1:]):  # so few are sorted faster as plain floats
@@ -198,12 +200,13 @@ def _side_middles(votes: np.ndarray, side: np.ndarray, usable: np.ndarray,
             else list(compress(all_votes[first:last], used[first:last]))
         own.sort()
         middles.append(own[len(own) // 2] if own else 0.0)
-    return np.array(middles).take(side)
+    return np.array(middles).take(layout.segment_side)
 
 
-@lru_cache(maxsize=8)
-def _counted(count: int) -> np.ndarray:
-    return np.arange(count)
+@lru_cache(maxsize=64)
+def _side_ends(layout: Layout, count: int) -> list[int]:
+    """Give the first segment of each side, and the end of the last."""
+    return layout.segment_side.searchsorted(np.arange(count + 1)).tolist()
 
 
 def noise_of(residual: np.ndarray, pixels: np.ndarray) -> float:
