@@ -59,10 +59,9 @@ class Layout:
     @cached_property
     def outside_inside(self) -> np.ndarray:
         """Order the sums before and after the lines of the segments, flat, that way: (2, s)."""
-        number, count = np.arange(len(self.lines)), len(self.lines)
-        before, after = number, number + count
-        return np.array((np.where(self.rising, before, after),
-                         np.where(self.rising, after, before)))
+        count = len(self.lines)
+        before, after = np.arange(count), count * self.rising
+        return np.array((before + (count - after), before + after))
 
 
 class Lines(NamedTuple):

@@ -166,9 +166,15 @@ def polygon_rows(edges: Edges, corner_count: int) -> np.ndarray:
 @lru_cache(maxsize=64)
 def _shares(layout: Layout, corner_count: int) -> tuple[np.ndarray, np.ndarray]:
     """Give the shares of the corners at the start of a segment's side, and their change."""
-    start = np.eye(corner_count)
-    change = np.roll(start, 1, axis=0) - start
+    start, change = _ends(corner_count)
     return start.take(layout.segment_side, axis=1), change.take(layout.segment_side, axis=1)
+
+
+@lru_cache(maxsize=8)
+def _ends(corner_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Give the share of each corner in the start of each side, and its change to the end."""
+    start = np.eye(corner_count)
+    return start, np.roll(start, 1, axis=0) - start
 
 
 def _add_widths(information: np.ndarray, target: np.ndarray, edges: Edges,
