@@ -20,8 +20,9 @@ from homography_servo.tracking.view_check import check_view
 import numpy as np
 
 APART_ODDS = 0.4  # by which the logarithm must be better than that of the next best one
-QUICK = Effort(20, 8, 4, 1.5, 3.0)  # mostly suffices; believed only where much speaks for it
-THOROUGH = Effort(32, 14, 6, 1.5, 1.5)
+BELIEVED_ODDS = 3.0  # logarithm: 20 to 1 for the face
+QUICK = Effort(20, 8, 4, 1.5, BELIEVED_ODDS)  # mostly suffices
+THOROUGH = Effort(32, 14, 6, 1.5, BELIEVED_ODDS)
 ELSEWHERE_PX = 10.0  # from the middle of the best one to that of another thing
 
 

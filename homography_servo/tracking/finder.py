@@ -6,7 +6,7 @@ Two searches take turns, the surest and quickest look first:
 1. Straight edges are put together to views of the face and compared with the picture,
    the sides of the box behind included (`edge_search`). It knows best among other things,
    and finds a face of which a side is hidden. The print on a face or noise may mislead it:
-   at first it is only believed where much speaks for the face.
+   it is only believed where much speaks for the face.
 2. Regions of like grey level are looked through (`region_search`): a print on the face
    and noise matter little to it. It is believed where it is convinced.
 3. The edges are searched once more, thoroughly.
