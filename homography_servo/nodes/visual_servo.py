@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import threading
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -52,6 +53,7 @@ from homography_servo.settings import text
 from homography_servo.tracking.tracker import LOST
 from homography_servo.tracking.tracker import SEARCHING
 import numpy as np
+from rclpy.duration import Duration
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.msg import JointState
@@ -63,6 +65,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 TICK_S = 0.02
 PROGRESS_PERIOD_S = 0.03
+FAREWELL_S = 0.2  # that the end may take while the bridge takes the stop
 
 
 @dataclass(frozen=True)
@@ -106,6 +109,7 @@ class VisualServo(NodeKit, Node):
         self._tick()
 
     def _publish_to(self) -> None:
+        self._speaking, self._silent = threading.Lock(), False
         self._commands = self.create_publisher(JointTrajectory, 'joint_trajectory', COMMANDS)
         self._corners = self.create_publisher(PolygonStamped, 'object/predicted_corners', DEFAULT)
         self._state = self.latched(String, '~/state')
@@ -286,7 +290,7 @@ class VisualServo(NodeKit, Node):
         active = self._servo if self._calibration is None else self._calibration
         command = active.tick(now_s)
         if command is not None:
-            self._commands.publish(self._trajectory(command))
+            self._send(command)
             if self._look_header is not None and len(command.points_rad):
                 self._pace.note(now_s, self.age_s(self._look_header))
         if self._calibration is not None and not self._calibration.active:
@@ -345,10 +349,23 @@ class VisualServo(NodeKit, Node):
         self._servo.fail(f'internal error: {error}')
         self._commands.publish(self._trajectory(Command()))
 
+    def _send(self, command: Command) -> None:
+        """Publish a command, unless the last word has been said."""
+        with self._speaking:
+            if not self._silent:
+                self._commands.publish(self._trajectory(command))
+
     def on_signal(self) -> None:
-        """Stop the arm before the process ends."""
-        if self._active:
-            self._commands.publish(self._trajectory(Command()))
+        """Stop the arm before the process ends; a tick under way sends nothing after that."""
+        with self._speaking:
+            if self._active and not self._silent:
+                self._commands.publish(self._trajectory(Command()))
+            self._silent = True
+
+    def close(self) -> None:
+        """Let the bridge hear the stop before the process ends."""
+        if self._silent:
+            self._commands.wait_for_all_acked(Duration(seconds=FAREWELL_S))
 
 
 def lead_from(verdict: DiagnosticArray, plan: JointTrajectory | None,

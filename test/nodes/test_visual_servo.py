@@ -191,6 +191,8 @@ def test_ctrl_c_on_the_way_stops_the_arm_and_exits_cleanly(rig):
     rig.process.signal(signal.SIGINT)
     rig.probe.wait(lambda: rig.stops_s, 'no stop')
     assert rig.process.wait() == 0
+    rig.probe.spin_for(0.2)
+    assert not [at_s for at_s in rig.commands if at_s > rig.stops_s[0]]  # the last word
     assert 'Traceback' not in rig.process.output
 
 
