@@ -21,12 +21,12 @@ from __future__ import annotations
 
 from homography_servo.geometry.camera import Camera
 from homography_servo.result import Rejected
-from homography_servo.tracking.edge_search import EdgeSearch
-from homography_servo.tracking.edge_search import QUICK
-from homography_servo.tracking.edge_search import THOROUGH
+from homography_servo.tracking.detection.edge_search import EdgeSearch
+from homography_servo.tracking.detection.edge_search import QUICK
+from homography_servo.tracking.detection.edge_search import THOROUGH
+from homography_servo.tracking.detection.region_search import CONVINCING
+from homography_servo.tracking.detection.region_search import find_by_regions
 from homography_servo.tracking.plane import Plane
-from homography_servo.tracking.region_search import CONVINCING
-from homography_servo.tracking.region_search import find_by_regions
 from homography_servo.tracking.target import Found
 from homography_servo.tracking.target import Target
 from homography_servo.tracking.target import turned

@@ -12,12 +12,12 @@ from homography_servo.geometry.face import face_corners
 from homography_servo.result import Rejected
 from homography_servo.tracking.box import BoxSides
 from homography_servo.tracking.box import Outline
+from homography_servo.tracking.detection.quads import grey_at
 from homography_servo.tracking.face_pose import FacePose
 from homography_servo.tracking.face_pose import pose_of_face
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import Look
 from homography_servo.tracking.polygon_fit import SnakeFit
-from homography_servo.tracking.quads import grey_at
 from homography_servo.tracking.snake import fit_snake
 from homography_servo.tracking.target import Found
 from homography_servo.tracking.target import rolled

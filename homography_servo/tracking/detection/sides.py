@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from homography_servo.tracking.segments import EVEN_GREY
-from homography_servo.tracking.segments import Pieces
+from homography_servo.tracking.detection.segments import EVEN_GREY
+from homography_servo.tracking.detection.segments import Pieces
 import numpy as np
 
 LEAST_SEEN_PX = 12.0  # of a side

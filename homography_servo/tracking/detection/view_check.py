@@ -15,10 +15,11 @@ import math
 from homography_servo.result import Rejected
 from homography_servo.tracking.box import BoxSides
 from homography_servo.tracking.box import RIGID_SIGMA_PX
-from homography_servo.tracking.box_views import box_points
-from homography_servo.tracking.box_views import look_at
-from homography_servo.tracking.box_views import odds
-from homography_servo.tracking.outlook import Picture
+from homography_servo.tracking.detection.box_views import box_points
+from homography_servo.tracking.detection.box_views import look_at
+from homography_servo.tracking.detection.box_views import odds
+from homography_servo.tracking.detection.outlook import Picture
+from homography_servo.tracking.detection.views import Views
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import Look
 from homography_servo.tracking.polygon_fit import Prior
@@ -26,7 +27,6 @@ from homography_servo.tracking.polygon_fit import SnakeFit
 from homography_servo.tracking.snake import fit_snake
 from homography_servo.tracking.target import Found
 from homography_servo.tracking.target import Target
-from homography_servo.tracking.views import Views
 import numpy as np
 
 GUESSED_SIGMA = 0.01  # of the corners about a view through a guessed lens, by the size

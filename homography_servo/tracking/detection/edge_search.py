@@ -9,14 +9,14 @@ weighed again.
 from __future__ import annotations
 
 from homography_servo.result import Rejected
-from homography_servo.tracking.candidates import Effort
-from homography_servo.tracking.candidates import find_candidates
-from homography_servo.tracking.candidates import rough_views
-from homography_servo.tracking.outlook import smoothed
+from homography_servo.tracking.detection.candidates import Effort
+from homography_servo.tracking.detection.candidates import find_candidates
+from homography_servo.tracking.detection.candidates import rough_views
+from homography_servo.tracking.detection.outlook import smoothed
+from homography_servo.tracking.detection.view_check import check_view
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.target import Found
 from homography_servo.tracking.target import Target
-from homography_servo.tracking.view_check import check_view
 import numpy as np
 
 APART_ODDS = 0.4  # by which the logarithm must be better than that of the next best one

@@ -12,17 +12,17 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from homography_servo.geometry.face import face_corners
-from homography_servo.tracking.outlook import AFTER
-from homography_servo.tracking.outlook import edges_and_normals
-from homography_servo.tracking.outlook import look_across
-from homography_servo.tracking.outlook import Outlook
-from homography_servo.tracking.outlook import Picture
-from homography_servo.tracking.outlook import Rows
-from homography_servo.tracking.outlook import rows_across
+from homography_servo.tracking.detection.outlook import AFTER
+from homography_servo.tracking.detection.outlook import edges_and_normals
+from homography_servo.tracking.detection.outlook import look_across
+from homography_servo.tracking.detection.outlook import Outlook
+from homography_servo.tracking.detection.outlook import Picture
+from homography_servo.tracking.detection.outlook import Rows
+from homography_servo.tracking.detection.outlook import rows_across
+from homography_servo.tracking.detection.views import linearise
+from homography_servo.tracking.detection.views import moved
+from homography_servo.tracking.detection.views import Views
 from homography_servo.tracking.plane import Plane
-from homography_servo.tracking.views import linearise
-from homography_servo.tracking.views import moved
-from homography_servo.tracking.views import Views
 import numpy as np
 
 SHARES = np.linspace(0.08, 0.92, 8)

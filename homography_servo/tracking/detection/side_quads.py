@@ -13,10 +13,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from homography_servo.tracking.detection.sides import matches
+from homography_servo.tracking.detection.sides import Sides
+from homography_servo.tracking.detection.views import unit
 from homography_servo.tracking.plane import Plane
-from homography_servo.tracking.sides import matches
-from homography_servo.tracking.sides import Sides
-from homography_servo.tracking.views import unit
 import numpy as np
 
 ALIKE_GREY = 13.0  # levels inside of two sides, in uneven light

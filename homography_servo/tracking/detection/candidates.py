@@ -10,26 +10,26 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from homography_servo.tracking.box_views import box_points
-from homography_servo.tracking.box_views import face_merit
-from homography_servo.tracking.box_views import look_at
-from homography_servo.tracking.box_views import nearer
-from homography_servo.tracking.box_views import odds
-from homography_servo.tracking.outlook import look_across
-from homography_servo.tracking.outlook import Picture
-from homography_servo.tracking.outlook import rows_across
+from homography_servo.tracking.detection.box_views import box_points
+from homography_servo.tracking.detection.box_views import face_merit
+from homography_servo.tracking.detection.box_views import look_at
+from homography_servo.tracking.detection.box_views import nearer
+from homography_servo.tracking.detection.box_views import odds
+from homography_servo.tracking.detection.outlook import look_across
+from homography_servo.tracking.detection.outlook import Picture
+from homography_servo.tracking.detection.outlook import rows_across
+from homography_servo.tracking.detection.segments import find_pieces
+from homography_servo.tracking.detection.segments import NO_PIECES
+from homography_servo.tracking.detection.segments import shrunk
+from homography_servo.tracking.detection.segments import straightened
+from homography_servo.tracking.detection.side_quads import find_quads
+from homography_servo.tracking.detection.sides import join_pieces
+from homography_servo.tracking.detection.views import Views
+from homography_servo.tracking.detection.views import views_of_face
+from homography_servo.tracking.detection.views import with_mirrored
 from homography_servo.tracking.plane import Plane
-from homography_servo.tracking.segments import find_pieces
-from homography_servo.tracking.segments import NO_PIECES
-from homography_servo.tracking.segments import shrunk
-from homography_servo.tracking.segments import straightened
-from homography_servo.tracking.side_quads import find_quads
-from homography_servo.tracking.sides import join_pieces
 from homography_servo.tracking.target import STEEPEST
 from homography_servo.tracking.target import Target
-from homography_servo.tracking.views import Views
-from homography_servo.tracking.views import views_of_face
-from homography_servo.tracking.views import with_mirrored
 import numpy as np
 from scipy.special import expit
 

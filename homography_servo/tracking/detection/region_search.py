@@ -10,14 +10,14 @@ the box behind them agree.
 from __future__ import annotations
 
 from homography_servo.result import Rejected
+from homography_servo.tracking.detection.quads import list_quads
+from homography_servo.tracking.detection.quads import side_contrast
+from homography_servo.tracking.detection.region_check import AWAY_PX
+from homography_servo.tracking.detection.region_check import CLEAR_GREY
+from homography_servo.tracking.detection.region_check import EVEN_GREY
+from homography_servo.tracking.detection.region_check import examine
+from homography_servo.tracking.detection.region_check import LEAST_SCORE
 from homography_servo.tracking.plane import Plane
-from homography_servo.tracking.quads import list_quads
-from homography_servo.tracking.quads import side_contrast
-from homography_servo.tracking.region_check import AWAY_PX
-from homography_servo.tracking.region_check import CLEAR_GREY
-from homography_servo.tracking.region_check import EVEN_GREY
-from homography_servo.tracking.region_check import examine
-from homography_servo.tracking.region_check import LEAST_SCORE
 from homography_servo.tracking.target import Found
 from homography_servo.tracking.target import STEEPEST
 from homography_servo.tracking.target import Target
