@@ -4,7 +4,8 @@ Go along the path without stopping: the next poses as one timed trajectory.
 With every look the joints of the next poses are solved anew in the corrected model,
 and timed from where and how fast the arm is: as fast as joints and tracker allow, and
 so that it could come to rest at the last pose sent. So an arm that hears nothing more
-stands still by itself, a fraction of a second later.
+stands still by itself, a fraction of a second later. Of a path with poses close together
+some are left out, so that what is sent reaches far enough to go at full speed.
 
 Speeds are shares of the full speed: a share of 1 means that one joint goes as fast as
 it may.
@@ -12,22 +13,25 @@ it may.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from homography_servo.planning.arm_model import ArmModel
 from homography_servo.planning.command import Command
 from homography_servo.planning.control import damped_step
 from homography_servo.planning.control import displacement
+from homography_servo.planning.control import LENGTH_M
 from homography_servo.robot.robot_file import Robot
 import numpy as np
 
-AHEAD = 10  # poses sent at once
+LEAST_AHEAD, AHEAD = 3, 10  # poses sent at once
+REACH_S = 0.3  # at full speed, from the first pose; 0.2 are needed to come to rest
 LEAD_S = 0.04  # a pose nearer than this in time is as good as passed
-NEWTON_STEPS = 2
-EXACT_BELOW_RAD = 1e-3  # a step so small leaves less than a thousandth of itself to the next
+NEWTON_STEPS = 6
+EXACT_BELOW_RAD = 0.01  # a step so small leaves a hundredth of itself, to the next look
 ACCELERATION_SHARE = 0.6  # the rest is for bends and for corrections
 LARGEST_STEP_RAD = 0.3
-SHORTEST_S = 1e-3
+SHORTEST_S, SHORTEST_M = 1e-3, 1e-5
 
 
 class Timed(NamedTuple):
@@ -76,13 +80,14 @@ def _shares(length: np.ndarray, direction: np.ndarray, caps: np.ndarray, share: 
     bend = np.abs(np.diff(direction, axis=0)).max(axis=1)
     slow = np.sqrt(gain * 0.5 * (length[1:] + length[:-1]) / np.maximum(bend, 1e-6))
     shares[:-1] = np.minimum(shares[:-1], slow)
-    shares[-1] = 0.0
-    for k in range(len(shares) - 2, -1, -1):
-        shares[k] = min(shares[k], np.sqrt(shares[k + 1] ** 2 + 2.0 * gain * length[k + 1]))
-    before = share
-    for k in range(len(shares)):
-        shares[k] = before = min(shares[k], np.sqrt(before ** 2 + 2.0 * gain * length[k]))
-    return shares
+    squares, gained = (shares ** 2).tolist(), (2.0 * gain * length).tolist()
+    squares[-1] = 0.0
+    for k in range(len(squares) - 2, -1, -1):
+        squares[k] = min(squares[k], squares[k + 1] + gained[k + 1])
+    before = share ** 2
+    for k, gain_here in enumerate(gained):
+        squares[k] = before = min(squares[k], before + gain_here)
+    return np.sqrt(squares)
 
 
 class Flow:
@@ -103,13 +108,12 @@ class Flow:
     """
 
     def __init__(self, robot: Robot, path: np.ndarray, index: int, margin_rad: float) -> None:
-        self._robot, self._path, self._margin_rad = robot, path, margin_rad
-        self.index = index
+        self._robot, self._margin_rad = robot, margin_rad
         self.sent_s = -np.inf
-        self._joints_rad: dict[int, np.ndarray] = {}
         self.ends = False  # what was sent reaches the end of the path
-        self._sent_index, self._began_share = index, 0.0
+        self._began_share = 0.0
         self._times_s, self._shares = np.zeros(0), np.zeros(0)
+        self.follow(path, index)
 
     @property
     def ends_s(self) -> float:
@@ -118,7 +122,16 @@ class Flow:
 
     def follow(self, path: np.ndarray, index: int) -> None:
         """Go over to another path without a stop."""
-        self._path, self.index, self._joints_rad, self.ends = path, index, {}, False
+        self._path, self.index, self.ends = path, index, False
+        self._corners = self._rays(path)
+        away = displacement(path[:-1], path[1:])
+        self._way_m = np.append(0.0, np.cumsum(
+            np.hypot(np.linalg.norm(away[:, :3], axis=1),
+                     LENGTH_M * np.linalg.norm(away[:, 3:], axis=1))))
+        self._s_per_m = 0.0  # of way at full speed; 0 until it is known
+        self._sent = np.zeros(0, dtype=int)  # poses that the last command goes through
+        # What was solved last: poses of the path, and their joints.
+        self._window, self._joints_rad = self._sent, np.zeros((0, self._robot.count))
 
     def _share(self, now_s: float) -> float:
         if not len(self._times_s):
@@ -128,8 +141,11 @@ class Flow:
 
     def advance(self, now_s: float) -> None:
         """Leave behind the poses that are passed by now."""
-        passed = int(np.searchsorted(self._times_s, now_s - self.sent_s + LEAD_S))
-        self.index = max(self.index, min(self._sent_index + passed, len(self._path) - 1))
+        sent = self._sent
+        if not len(sent):
+            return
+        passed = np.interp(now_s - self.sent_s + LEAD_S, self._times_s, sent, right=sent[-1] + 1)
+        self.index = max(self.index, min(int(np.ceil(passed)), len(self._path) - 1))
 
     def command(self, model: ArmModel, here_rad: np.ndarray, speed_share: float,
                 px_per_ray: float, corner_speed_px_s: float, now_s: float) -> Command | None:
@@ -150,49 +166,74 @@ class Flow:
             Steady time.
 
         """
-        window = range(self.index, min(self.index + AHEAD, len(self._path)))
-        points = self._solve(model, here_rad, window)
-        free = self._inside(points)
-        if not free[0]:
+        self._solve(model, here_rad)
+        points = self._inside(self._joints_rad)
+        if not len(points):
             return None
-        points = points[:len(points) if free.all() else int(np.argmin(free))]
         share = self._share(now_s)
-        caps = self._caps(model, here_rad, points, speed_share, px_per_ray, corner_speed_px_s)
+        lengths_s = self._lengths_s(np.vstack([here_rad, points]))
+        travel_px = px_per_ray * self._travel(model.pose(here_rad), len(points))
+        by_tracker = corner_speed_px_s * lengths_s / np.maximum(travel_px, 1e-6)
+        caps = np.maximum(np.minimum(speed_share, by_tracker), 0.01)
         way = timed(self._robot, here_rad, share, points, caps)
-        self.sent_s, self._sent_index, self._began_share = now_s, self.index, share
+        self.sent_s, self._began_share = now_s, share
         self._times_s, self._shares = way.times_s, way.shares
-        self.ends = self.index + len(points) == len(self._path)
+        self._sent = sent = self._window[:len(points)]
+        self.ends = bool(sent[-1] == len(self._path) - 1)
+        way_m = self._way_m[sent[-1]] - self._way_m[sent[0]]
+        if way_m > SHORTEST_M:
+            self._s_per_m = lengths_s[1:].sum() / way_m
         return Command(points, way.times_s, way.velocities_rad_s)
 
-    def _solve(self, model: ArmModel, here_rad: np.ndarray, window: range) -> np.ndarray:
-        known, last = [], here_rad
-        for index in window:
-            last = self._joints_rad.get(index, last)
-            known.append(last)
-        joints, goals = np.array(known), self._path[window.start:window.stop]
-        for _ in range(NEWTON_STEPS if window[-1] in self._joints_rad else 3 * NEWTON_STEPS):
+    def _ahead(self) -> np.ndarray:
+        """Choose the poses within reach: the next, the farthest, not too many between."""
+        way, last = self._way_m, len(self._path) - 1
+        farthest = self.index + AHEAD - 1
+        if self._s_per_m > 0.0:
+            farthest = int(np.searchsorted(way, way[self.index] + REACH_S / self._s_per_m))
+        farthest = min(max(farthest, self.index + LEAST_AHEAD - 1), last)
+        stride = math.ceil((farthest + 1 - self.index) / AHEAD)
+        if stride == 1:
+            return np.arange(self.index, farthest + 1)
+        even = np.append(np.arange(self.index, farthest, stride), farthest)
+        marks_m = np.linspace(way[self.index], way[farthest], len(even))
+        return np.unique(np.clip(np.searchsorted(way, marks_m - 1e-9), self.index, farthest))
+
+    def _solve(self, model: ArmModel, here_rad: np.ndarray) -> None:
+        """Find the joints of the poses ahead, from those that were found before."""
+        window, before, known = self._ahead(), self._window, self._joints_rad
+        if len(known):
+            joints = np.array([np.interp(window, before, column) for column in known.T]).T
+        else:
+            joints = np.repeat(here_rad[None], len(window), axis=0)
+        for _ in range(NEWTON_STEPS):
             poses, jacobians = model.posture(joints)
-            step = damped_step(jacobians, displacement(poses, goals))
+            step = damped_step(jacobians, displacement(poses, self._path[window]))
             largest = np.abs(step).max(axis=1, keepdims=True)
             joints = joints + step * np.minimum(1.0, LARGEST_STEP_RAD / np.maximum(largest, 1e-9))
             if largest.max() < EXACT_BELOW_RAD:
                 break
-        self._joints_rad = dict(zip(window, joints))
-        return joints
+        self._window, self._joints_rad = window, joints
 
     def _inside(self, points_rad: np.ndarray) -> np.ndarray:
+        """Give the points before the first one that is too near to a joint limit."""
         low, high = self._robot.lower_rad, self._robot.upper_rad
-        return np.all((points_rad >= low + self._margin_rad)
+        free = np.all((points_rad >= low + self._margin_rad)
                       & (points_rad <= high - self._margin_rad), axis=1)
+        return points_rad if free.all() else points_rad[:int(np.argmin(free))]
 
-    def _caps(self, model: ArmModel, here_rad: np.ndarray, points_rad: np.ndarray,
-              speed_share: float, px_per_ray: float, corner_speed_px_s: float) -> np.ndarray:
-        joints = np.vstack([here_rad, points_rad])
-        poses = model.pose(joints)
-        points = self._robot.object_points_m @ np.swapaxes(poses[:, :3, :3], 1, 2) \
-            + poses[:, None, :3, 3]
-        rays = points[..., :2] / np.maximum(points[..., 2:] + self._robot.home_depth_m, 0.05)
-        travel_px = px_per_ray * np.linalg.norm(np.diff(rays, axis=0), axis=2).max(axis=1)
-        length = np.abs(np.diff(joints, axis=0) / self._robot.velocity_rad_s).max(axis=1)
-        by_tracker = corner_speed_px_s * length / np.maximum(travel_px, 1e-6)
-        return np.maximum(np.minimum(speed_share, by_tracker), 0.01)
+    def _lengths_s(self, joints_rad: np.ndarray) -> np.ndarray:
+        """Give how long the ways between postures take at full speed."""
+        return np.abs(np.diff(joints_rad, axis=0) / self._robot.velocity_rad_s).max(axis=1)
+
+    def _rays(self, poses: np.ndarray) -> np.ndarray:
+        """Project the corners (..., P, 2) of the object at poses (..., 4, 4)."""
+        points = self._robot.object_points_m @ np.swapaxes(poses[..., :3, :3], -1, -2) \
+            + poses[..., None, :3, 3]
+        return points[..., :2] / np.maximum(points[..., 2:] + self._robot.home_depth_m, 0.05)
+
+    def _travel(self, here: np.ndarray, count: int) -> np.ndarray:
+        """Give how far the fastest corner goes from here to each of the poses ahead."""
+        rays = np.concatenate([self._rays(here)[None], self._corners[self._window[:count]]])
+        way = np.diff(rays, axis=0)
+        return np.sqrt((way * way).sum(axis=2).max(axis=1))

@@ -30,7 +30,7 @@ from scipy.linalg import lapack
 
 _YZX, _ZXY = [1, 2, 0], [2, 0, 1]
 ITERATIONS = 3
-LARGE_CHANGE = 1e-3  # m or rad: the next iteration starts from new derivatives
+LARGE_CHANGE = 5e-3  # m or rad: the next iteration starts from new derivatives
 WIDEN_ABOVE = 4.0  # mean squared surprise: twice the expected deviation
 DOUBT_ABOVE = 25.0
 ARM_LENGTH_M = 0.3  # a rotation and a translation of the object compare by this length

@@ -75,6 +75,53 @@ def test_points_sent_end_before_a_joint_limit():
     assert not flow.ends
 
 
+def sent_poses(path, index=1):
+    """Give the poses of the second command along a path; the first learns how dense it is."""
+    flow = Flow(ROBOT, path, index, 0.01)
+    for now_s in (0.0, 0.01):
+        command = flow.command(ArmModel(ROBOT), START_RAD, 1.0, FOCAL_PX, 400.0, now_s)
+    return ArmModel(ROBOT).pose(command.points_rad)
+
+
+def position_in(path, poses):
+    """Find each of some poses in a path."""
+    away = [np.linalg.norm(displacement(pose, path), axis=1) for pose in poses]
+    assert max(far.min() for far in away) < 1e-4  # they are poses of the path
+    return [int(np.argmin(far)) for far in away]
+
+
+def test_every_pose_is_sent_where_they_are_apart():
+    path = straight_path(ArmModel(ROBOT), 11)
+    places = position_in(path, sent_poses(path))
+    assert len(places) > 2 and places == list(range(1, 1 + len(places)))
+
+
+def test_poses_close_together_are_left_out_and_what_is_sent_reaches_as_far():
+    few, many = (straight_path(ArmModel(ROBOT), count) for count in (11, 1501))
+    places = position_in(many, sent_poses(many, 150))
+    assert places[0] == 150 and 8 <= len(places) <= 12
+    assert np.ptp(np.diff(places)) <= 2  # evenly
+    assert places[-1] / 150 == pytest.approx(position_in(few, sent_poses(few))[-1], abs=2.0)
+
+
+def test_poses_after_a_stay_are_not_passed_over():
+    apart = straight_path(ArmModel(ROBOT), 31)
+    path = np.concatenate([np.repeat(apart[:1], 200, axis=0), apart[1:]])
+    places = [max(place, 199) for place in position_in(path, sent_poses(path, 195))]
+    assert np.diff(places).max() == 2  # with 10 of all the poses in reach it would be 20
+
+
+def test_dense_path_takes_no_longer():
+    seconds = []
+    for count in (31, 501):
+        run = flowing(3, count=count)
+        run.finish(30.0)
+        assert run.servo.state == DONE
+        assert all(e < bound for e, bound in zip(final_errors(run), FINAL))
+        seconds.append(run.now_s)
+    assert seconds[1] - seconds[0] < 0.7  # with a fixed number of poses 2.8 s
+
+
 @pytest.mark.parametrize('frame_hz', (30.0, 120.0))
 @pytest.mark.parametrize('truth', [ArmModel(ROBOT), wrong_arm(1)], ids=['exact', 'wrong'])
 def test_continuous_trial_ends_within_the_bounds_and_sooner(truth, frame_hz):
