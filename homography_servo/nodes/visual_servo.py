@@ -111,7 +111,7 @@ class VisualServo(NodeKit, Node):
         self._tick()
 
     def _publish_to(self) -> None:
-        self._speaking, self._silent = threading.Lock(), False
+        self._speaking, self._silent = threading.RLock(), False
         self._commands = self.create_publisher(JointTrajectory, 'joint_trajectory', COMMANDS)
         self._corners = self.create_publisher(PolygonStamped, 'object/predicted_corners', DEFAULT)
         self._state = self.latched(String, '~/state')
@@ -349,7 +349,7 @@ class VisualServo(NodeKit, Node):
         if self._calibration is not None:
             self._calibration.stop(f'internal error: {error}')
         self._servo.fail(f'internal error: {error}')
-        self._commands.publish(self._trajectory(Command()))
+        self._send(Command())
 
     def _send(self, command: Command) -> None:
         """Publish a command, unless the last word has been said."""
@@ -360,8 +360,8 @@ class VisualServo(NodeKit, Node):
     def on_signal(self) -> None:
         """Stop the arm before the process ends; a tick under way sends nothing after that."""
         with self._speaking:
-            if self._active and not self._silent:
-                self._commands.publish(self._trajectory(Command()))
+            if self._active:
+                self._send(Command())
             self._silent = True
 
     def close(self) -> None:

@@ -35,7 +35,7 @@ from homography_servo.robot.trajectory import State
 from homography_servo.robot.trajectory import Trajectory
 from homography_servo.robot.trajectory import TrajectoryPoint
 from homography_servo.robot.trajectory import TrajectorySettings
-from homography_servo.robot.wire import Pace
+from homography_servo.robot.wire import LineBudget
 from homography_servo.robot.wire import rate_for
 from homography_servo.robot.wire import ServoWire
 from homography_servo.settings import real
@@ -104,7 +104,7 @@ class ArmDriver:
         self._answered = threading.Condition(self._lock)
         self._period_s = 1.0 / rate_for(settings.baud)
         self._mover = Mover(robot, link, settings.joint_margin_rad, self._period_s,
-                            Pace(settings.baud))
+                            LineBudget(settings.baud))
         self._ready = self._was_ready = False
         self._misfit = ''
         self._latch = self._hold = ''

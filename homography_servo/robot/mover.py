@@ -17,7 +17,7 @@ from homography_servo.robot.streaming import TargetStream
 from homography_servo.robot.trajectory import State
 from homography_servo.robot.trajectory import stop
 from homography_servo.robot.trajectory import Trajectory
-from homography_servo.robot.wire import Pace
+from homography_servo.robot.wire import LineBudget
 from homography_servo.robot.wire import ServoWire
 import numpy as np
 
@@ -48,25 +48,25 @@ class Mover:
         Distance to keep from the ends of every joint.
     period_s : float
         Time between two targets of a stream.
-    pace : Pace
+    budget : LineBudget
         When targets may follow each other sooner: when a new trajectory comes, or when the
         last one did not differ by a whole servo unit.
 
     """
 
     def __init__(self, robot: Robot, link: Link, margin_rad: float, period_s: float,
-                 pace: Pace) -> None:
+                 budget: LineBudget) -> None:
         self.limits = limits_of(robot, margin_rad)
         self.estimate = ArmEstimate()
         self.governor = Governor(*unit_range(robot, margin_rad), velocity_units_s(robot),
-                                 pace.least_s)
+                                 budget.least_s)
         self.standing_by = False  # the device was told to pause
         self.next_due_s = 0.0
         self._link = link
         self._margin_rad = margin_rad
-        self._period_s, self._line = period_s, pace
+        self._period_s, self._budget = period_s, budget
         self._targets = TargetStream(robot, np.zeros(robot.count), 0.0, margin_rad, period_s,
-                                     pace.least_s)
+                                     budget.least_s)
         self._wire: ServoWire | None = None
         self._pace: np.ndarray | None = None
         self._motion: _Motion | None = None
@@ -168,7 +168,7 @@ class Mover:
         self._targets.follow(trajectory, now_s)
         self._arriving = None
         self._motion = _Motion(units, streamed=True, seq=seq)
-        self.next_due_s = min(self.next_due_s, max(now_s, self._line.next_s()))
+        self.next_due_s = min(self.next_due_s, max(now_s, self._budget.next_s()))
 
     def _end_move(self, now_s: float) -> int:
         """
@@ -198,10 +198,10 @@ class Mover:
             return  # a target would throw the pace out of the queue of the device
         wanted = self._targets.step(now_s)
         target = self.governor.step(wanted.units, now_s)
-        due_s, self.next_due_s = self.next_due_s, now_s + self._line.least_s
+        due_s, self.next_due_s = self.next_due_s, now_s + self._budget.least_s
         if target is not None:
-            self._line.sent(now_s)
-            self.next_due_s = max(due_s + self._period_s, self._line.next_s())
+            self._budget.sent(now_s)
+            self.next_due_s = max(due_s + self._period_s, self._budget.next_s())
             seq = self._link.request(self.wire.goto(target), motion=True)
             motion.seq = self._unanswered_seq = seq
         elif wanted.done and not motion.seq:

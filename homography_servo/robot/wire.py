@@ -41,7 +41,7 @@ def rate_for(baud: int) -> float:
     return min(FASTEST_HZ, _free_bytes_s(baud) / longest)
 
 
-class Pace:
+class LineBudget:
     """
     When a target may follow another without filling the line.
 

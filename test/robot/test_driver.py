@@ -13,7 +13,7 @@ from homography_servo.robot.protocol import encode_line
 from homography_servo.robot.protocol import Request
 from homography_servo.robot.trajectory import TrajectoryPoint
 from homography_servo.robot.wire import LINE_SHARE
-from homography_servo.robot.wire import Pace
+from homography_servo.robot.wire import LineBudget
 from homography_servo.robot.wire import rate_for
 from homography_servo.robot.wire import ServoWire
 from link_setup import decoded
@@ -169,7 +169,7 @@ def test_a_new_trajectory_is_on_the_wire_at_once(rig):
             rig.turn()
             assert rig.now_s < sent_s + 0.1
         waited_s.append(rig.now_s - sent_s)
-    assert max(waited_s) < Pace(115200).least_s + 3 * step_s
+    assert max(waited_s) < LineBudget(115200).least_s + 3 * step_s
     assert Judge().watch(rig.log).violations == []
 
 
@@ -591,21 +591,21 @@ def test_no_turn_takes_long_while_the_line_fails_all_the_time():
     (9600, 7.72, 0.1295, 0.0698), (1200, 0.966, 1.036, 0.558)])
 def test_the_stream_fits_the_line(baud, rate, mean_s, least_s):
     assert rate_for(baud) == pytest.approx(rate, rel=1e-3)
-    assert Pace(baud).mean_s == pytest.approx(mean_s, rel=1e-3)
-    assert Pace(baud).least_s == pytest.approx(least_s, rel=1e-3)
+    assert LineBudget(baud).mean_s == pytest.approx(mean_s, rel=1e-3)
+    assert LineBudget(baud).least_s == pytest.approx(least_s, rel=1e-3)
 
 
 def test_some_targets_may_go_out_early_but_not_many():
-    pace, now_s, times_s = Pace(115200), 0.0, []
+    budget, now_s, times_s = LineBudget(115200), 0.0, []
     for _ in range(200):
-        now_s = max(now_s + 0.0002, pace.next_s())
-        pace.sent(now_s)
+        now_s = max(now_s + 0.0002, budget.next_s())
+        budget.sent(now_s)
         times_s.append(now_s)
     gaps_s = np.diff(times_s)
-    assert gaps_s.min() == pytest.approx(pace.least_s)
-    assert np.all(gaps_s[20:] == pytest.approx(pace.mean_s))
-    pace.sent(now_s + 1.0)  # after a rest it may be early again
-    assert pace.next_s() == pytest.approx(now_s + 1.0 + pace.least_s)
+    assert gaps_s.min() == pytest.approx(budget.least_s)
+    assert np.all(gaps_s[20:] == pytest.approx(budget.mean_s))
+    budget.sent(now_s + 1.0)  # after a rest it may be early again
+    assert budget.next_s() == pytest.approx(now_s + 1.0 + budget.least_s)
 
 
 @pytest.mark.parametrize('baud', [115200, 9600])
