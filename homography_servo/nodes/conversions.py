@@ -302,7 +302,7 @@ def trajectory_msg(names: Sequence[str], points_rad: Sequence[np.ndarray],
     msg = JointTrajectory(header=header or Header(), joint_names=list(names))
     for joints_rad, time_s in zip(points_rad, times_s):
         msg.points.append(JointTrajectoryPoint(
-            positions=[float(v) for v in joints_rad],
+            positions=np.asarray(joints_rad, dtype=float).tolist(),
             time_from_start=duration_from_seconds(float(time_s))))
     return msg
 

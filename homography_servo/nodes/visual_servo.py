@@ -318,7 +318,7 @@ class VisualServo(NodeKit, Node):
     def _trajectory(self, command: Command) -> JointTrajectory:
         msg = trajectory_msg(self._robot.joint_names, command.points_rad, command.times_s)
         for point, velocity in zip(msg.points, command.velocities_rad_s):
-            point.velocities = [float(v) for v in velocity]
+            point.velocities = velocity.tolist()
         return msg  # one without points means stop
 
     def _predict_corners(self, joints_rad: np.ndarray, header: Header) -> None:
