@@ -7,6 +7,8 @@ expected corners, and compared with what was seen there before.
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 
@@ -26,9 +28,8 @@ class Locator:
 
     def remember(self, image: np.ndarray, corners: np.ndarray) -> None:
         """Take in how the face with these corners [px] looks."""
-        across, down = _axes(corners)
-        columns, rows = (max(LEAST_SIDE, int(np.ceil(
-            (np.linalg.norm(axis) + 2.0 * MARGIN_PX) / GRID_PX))) for axis in (across, down))
+        columns, rows = (max(LEAST_SIDE, math.ceil((length + 2.0 * MARGIN_PX) / GRID_PX))
+                         for length, _, _ in _axes(corners.tolist()))
         self._grid = (columns, rows)
         self._view = _sample(image, corners, self._grid, 0)
 
@@ -54,15 +55,15 @@ class Locator:
         """
         if self._view is None:
             return None
-        extra = int(np.ceil(search_px / GRID_PX))
+        extra = math.ceil(search_px / GRID_PX)
         scene = _sample(image, corners, self._grid, extra)
         match = cv2.matchTemplate(scene, self._view, cv2.TM_CCOEFF_NORMED)
         _, best, _, (column, row) = cv2.minMaxLoc(match)
         if not best > LIKE:
             return None
-        across, down = _axes(corners)
-        shift = (column - extra) * GRID_PX * across / np.linalg.norm(across) \
-            + (row - extra) * GRID_PX * down / np.linalg.norm(down)
+        (_, *across), (_, *down) = _axes(corners.tolist())
+        shift = (column - extra) * GRID_PX * np.array(across) \
+            + (row - extra) * GRID_PX * np.array(down)
         return corners + shift
 
     def beside(self, image: np.ndarray, corners: np.ndarray) -> bool:
@@ -71,18 +72,28 @@ class Locator:
         return found is not None and not np.abs(found - corners).max() < APART_PX
 
 
-def _axes(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return (0.5 * (corners[1] - corners[0] + corners[2] - corners[3]),
-            0.5 * (corners[3] - corners[0] + corners[2] - corners[1]))
+def _axes(corners: list[list[float]]) -> list[tuple[float, float, float]]:
+    """Give the mean length and direction (u, v) of the sides across and of those down."""
+    (u0, v0), (u1, v1), (u2, v2), (u3, v3) = corners
+    axes = []
+    for u, v in ((u1 - u0 + u2 - u3, v1 - v0 + v2 - v3), (u3 - u0 + u2 - u1, v3 - v0 + v2 - v1)):
+        length = math.hypot(u, v) or 1e-12
+        axes.append((0.5 * length, u / length, v / length))
+    return axes
 
 
 def _sample(image: np.ndarray, corners: np.ndarray, grid: tuple[int, int],
             extra: int) -> np.ndarray:
     """Sample a grid of the given size, and more around it, along the axes of the face."""
-    across, down = (axis / np.linalg.norm(axis) * GRID_PX for axis in _axes(corners))
+    points = corners.tolist()
+    (_, right_u, right_v), (_, down_u, down_v) = _axes(points)
     columns, rows = grid[0] + 2 * extra, grid[1] + 2 * extra
-    first = corners.mean(axis=0) - 0.5 * ((columns - 1) * across + (rows - 1) * down)
-    matrix = np.array([[across[0], down[0], first[0]], [across[1], down[1], first[1]]])
+    right, down = 0.5 * (columns - 1) * GRID_PX, 0.5 * (rows - 1) * GRID_PX
+    centre_u, centre_v = (0.25 * sum(values) for values in zip(*points))
+    matrix = np.array(((GRID_PX * right_u, GRID_PX * down_u,
+                        centre_u - right * right_u - down * down_u),
+                       (GRID_PX * right_v, GRID_PX * down_v,
+                        centre_v - right * right_v - down * down_v)))
     soft = cv2.warpAffine(image, matrix, (columns, rows), None,
                           cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, cv2.BORDER_REPLICATE)
     return cv2.GaussianBlur(soft, (3, 3), 0)

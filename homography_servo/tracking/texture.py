@@ -8,6 +8,7 @@ the four corners, brightness and contrast left free.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import cv2
@@ -63,12 +64,13 @@ class FaceTexture:
 
     def remember(self, image: np.ndarray, corners_px: np.ndarray) -> None:
         """Take a picture as key if the face with these corners has print on it."""
-        sides = np.linalg.norm(np.roll(corners_px, -1, axis=0) - corners_px, axis=1)
-        across, down = (int(np.clip(max(pair) / SAMPLE_PX, LEAST_SAMPLES, MOST_SAMPLES))
+        points = corners_px.tolist()
+        sides = list(map(math.dist, points, points[1:] + points[:1]))
+        across, down = (min(max(int(max(pair) / SAMPLE_PX), LEAST_SAMPLES), MOST_SAMPLES)
                         for pair in (sides[::2], sides[1::2]))
         size = (across, down)
         view = _view(image, corners_px, size)
-        if view.std() < LIVELY_GREY:
+        if cv2.meanStdDev(view)[1][0, 0] < LIVELY_GREY:
             self._key = None
             return
         s, t = np.meshgrid(*(np.linspace(INSET, 1.0 - INSET, count) for count in size))
