@@ -15,6 +15,7 @@ from homography_servo.tracking.face_pose import project
 from homography_servo.tracking.face_pose import project_with_slopes
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import Prior
+from homography_servo.tracking.scan import Geometry
 from homography_servo.tracking.scan import side_geometry
 from homography_servo.tracking.side_levels import SideLevels
 from homography_servo.tracking.strips import NARROWEST_PX
@@ -33,6 +34,7 @@ class Outline(NamedTuple):
 
     pose: FacePose
     step: np.ndarray  # (6,) turn and shift since the last one
+    length: list[float]  # (4,) of the sides of the face [px]
     width: np.ndarray  # (4, 2) of the strip beside each side, at its corners [px]
     reach: np.ndarray  # (4, 2) where along the side these widths are, 0 to 1
     rows: np.ndarray  # (4, 2, 8) change of the widths with the corners
@@ -81,7 +83,7 @@ class BoxSides:
             return None, None
         self._pose, self._step = outline.pose, outline.step
         strips = Strips(outline.width, outline.rows, *self._levels.relative(),
-                        _spans(outline, corners))
+                        _spans(outline))
         return strips, outline.rigid
 
     def learn(self, edges: Edges, weight: np.ndarray, strips: Strips | None, half: int) -> None:
@@ -110,12 +112,15 @@ class BoxSides:
         miss = (miss - front @ step).reshape(4, 2)
         pose = moved_pose(near, step, miss / focal)
         back = self._plane.from_rays(project(self._all_m[4:], pose.rotation, pose.translation))
-        width, reach, rows = _beside(corners, back, slopes[4:] - slopes[:4], pose_from_corners)
+        geometry = side_geometry(corners)
+        width, reach, rows = _beside(geometry, back - corners, slopes[4:] - slopes[:4],
+                                     pose_from_corners)
         rigid = Prior(corners - miss, (UNIT - front @ pose_from_corners) / RIGID_SIGMA_PX ** 2)
-        return Outline(pose, self._step + step, width, reach, rows, rigid)
+        return Outline(pose, self._step + step, geometry.length.tolist(), width, reach, rows,
+                       rigid)
 
 
-def _spans(outline: Outline, corners: np.ndarray) -> np.ndarray:
+def _spans(outline: Outline) -> np.ndarray:
     """
     Say which part (4, 2) of each side of the face to use, 0 to 1.
 
@@ -125,8 +130,7 @@ def _spans(outline: Outline, corners: np.ndarray) -> np.ndarray:
     if not any(shows):
         return WHOLE
     spans = []
-    lengths = side_geometry(corners).length.tolist()
-    for side, (length, (first, last)) in enumerate(zip(lengths, outline.reach.tolist())):
+    for side, (length, (first, last)) in enumerate(zip(outline.length, outline.reach.tolist())):
         here, margin = shows[side], CORNER_MARGIN_PX / length
         low = max(first, 0.0) if here else 0.0
         high = min(last, 1.0) if here else 1.0
@@ -136,15 +140,17 @@ def _spans(outline: Outline, corners: np.ndarray) -> np.ndarray:
     return np.array(spans)
 
 
-def _beside(corners: np.ndarray, back: np.ndarray, lag: np.ndarray,
+def _beside(geometry: Geometry, behind: np.ndarray, lag: np.ndarray,
             pose_from_corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Measure how far the corners of the back lie beside the sides of the face.
 
     Parameters
     ----------
-    corners, back : (4, 2) array
-        Of the face, and of the back of the box.
+    geometry : Geometry
+        Sides of the face.
+    behind : (4, 2) array
+        From the corners of the face to those of the back of the box.
     lag : (4, 2, 6) array
         How much more the back moves than the face with the pose.
     pose_from_corners : (6, 8) array
@@ -156,7 +162,6 @@ def _beside(corners: np.ndarray, back: np.ndarray, lag: np.ndarray,
         Width, reach and rows of the outline.
 
     """
-    geometry, behind = side_geometry(corners), back - corners
     width = -(behind @ geometry.normal).take(ENDS)
     reach = (behind @ (geometry.edge.T / geometry.length ** 2)).take(ENDS) + (0.0, 1.0)
     drift = (geometry.normal.T @ lag).reshape(16, 6).take(ENDS, axis=0)

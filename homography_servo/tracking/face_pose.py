@@ -15,6 +15,13 @@ import cv2
 from homography_servo.result import Rejected
 import numpy as np
 
+TWO = np.eye(2)
+# p @ CROSS is the matrix (3, 3), flat, that takes the cross product of p with what it is
+# multiplied by from the left: a turn w moves p by w x p, and d . (w x p) = (p x d) . w.
+CROSS = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, -1.0, 0.0],
+                  [0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0],
+                  [0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
+
 
 class FacePose(NamedTuple):
     """Where the rectangle is, and how well its projection fits."""
@@ -79,15 +86,12 @@ def project_with_slopes(points_m: np.ndarray, rotation: np.ndarray,
     """
     turned = points_m @ rotation.T
     points = turned + translation
-    inverse = 1.0 / points[:, 2]
-    rays = points[:, :2] * inverse[:, None]
-    x, y = rays.T
-    a, b, c = turned.T * inverse
-    slopes = np.zeros((len(x), 2, 6))
-    slopes[:, 0, 0], slopes[:, 0, 1], slopes[:, 0, 2] = -x * b, c + x * a, -b
-    slopes[:, 1, 0], slopes[:, 1, 1], slopes[:, 1, 2] = -c - y * b, y * a, a
-    slopes[:, 0, 3] = slopes[:, 1, 4] = inverse
-    slopes[:, 0, 5], slopes[:, 1, 5] = -x * inverse, -y * inverse
+    inverse = 1.0 / points[:, 2:]
+    rays = points[:, :2] * inverse
+    slopes = np.zeros((len(points), 2, 6))
+    slopes[:, :, 3:5] = inverse[:, None] * TWO
+    slopes[:, :, 5] = -inverse * rays
+    slopes[:, :, :3] = slopes[:, :, 3:] @ (turned @ CROSS).reshape(-1, 3, 3)
     return rays, slopes
 
 

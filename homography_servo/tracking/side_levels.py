@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from homography_servo.result import required
 from homography_servo.tracking.edges import Edges
 from homography_servo.tracking.levels import middle
@@ -22,10 +24,10 @@ class SideLevels:
     """Learns the brightness of the four sides; those of a Lambertian box depend on the pose."""
 
     def __init__(self) -> None:
-        self._level = np.full(4, FIRST_LEVEL)  # over that of the face
-        self._variance = np.full(4, FIRST_SIGMA ** 2)
+        self._level = [FIRST_LEVEL] * 4  # over that of the face
+        self._variance = [FIRST_SIGMA ** 2] * 4
         self._inside: float | None = None
-        self._outside = np.zeros(4)
+        self._outside = [0.0] * 4
 
     @property
     def known(self) -> bool:
@@ -34,12 +36,12 @@ class SideLevels:
 
     def relative(self) -> tuple[np.ndarray, np.ndarray]:
         """Give the brightness (4,), 0 as outside and 1 as the face, and its deviation (4,)."""
-        inside = required(self._inside, 'level of the face')
-        contrast = inside - self._outside
-        contrast = np.where(np.abs(contrast) < 1.0, 1.0, contrast)
-        level = (self._level * inside - self._outside) / contrast
-        sigma = np.sqrt(self._variance) * inside / np.abs(contrast)
-        return np.minimum(np.maximum(level, -1.0), 2.0), sigma
+        inside, levels, sigmas = required(self._inside, 'level of the face'), [], []
+        for level, variance, outside in zip(self._level, self._variance, self._outside):
+            contrast = inside - outside if abs(inside - outside) >= 1.0 else 1.0
+            levels.append(min(max((level * inside - outside) / contrast, -1.0), 2.0))
+            sigmas.append(math.sqrt(variance) * inside / abs(contrast))
+        return np.array(levels), np.array(sigmas)
 
     def learn(self, edges: Edges, weight: np.ndarray, strips: Strips | None, half: int) -> None:
         """Take in the grey levels that a good fit has found."""
@@ -47,32 +49,37 @@ class SideLevels:
         if not good.any():
             return
         self._inside = middle((edges.outside + edges.contrast)[good])
-        self._variance = np.minimum(self._variance + DRIFT_SIGMA ** 2, FIRST_SIGMA ** 2)
-        seen = np.bincount(edges.side, good, 4)
-        outside = np.bincount(edges.side, good * edges.outside, 4) / np.maximum(seen, 1.0)
-        width = np.zeros(4) if strips is None else 0.5 * np.add.reduce(strips.width, axis=1)
-        covered = (width > half + CLEAR_PX) & (seen > 0.0)
-        behind = ~covered & (seen > 0.0)
-        self._outside[behind] = outside[behind]
-        face = max(self._inside, 1.0)
-        for side in covered.nonzero()[0].tolist():
-            self._update(side, float(outside[side]) / face, SURFACE_SIGMA ** 2)
+        self._variance = [min(variance + DRIFT_SIGMA ** 2, FIRST_SIGMA ** 2)
+                          for variance in self._variance]
+        seen = np.bincount(edges.side, good, 4).tolist()
+        sums = np.bincount(edges.side, good * edges.outside, 4).tolist()
+        widths = [0.0] * 4 if strips is None else list(map(sum, strips.width.tolist()))
+        face, behind = max(self._inside, 1.0), []
+        for side, (count, total, width) in enumerate(zip(seen, sums, widths)):
+            covered = 0.5 * width > half + CLEAR_PX
+            if count and covered:
+                self._update(side, total / count / face, SURFACE_SIGMA ** 2)
+            elif count:
+                self._outside[side] = total / count
+                behind.append(side)
         if edges.second is not None:
-            self._learn_strips(edges, good, np.where(behind, width, 0.0), outside / face, face)
+            self._learn_strips(edges, good, {side: 0.5 * widths[side] for side in behind}, face)
 
-    def _learn_strips(self, edges: Edges, good: np.ndarray, width: np.ndarray,
-                      behind: np.ndarray, face: float) -> None:
-        """Learn from strips of known width (4,) before levels (4,) over that of the face."""
+    def _learn_strips(self, edges: Edges, good: np.ndarray, width: dict[int, float],
+                      face: float) -> None:
+        """Learn from strips of known width that something else shows behind."""
         second = required(edges.second, 'second edge')
         side, good = edges.side.take(second.segment), good.take(second.segment)
-        information = np.bincount(side, good * second.level_own, 4)
-        pull = np.bincount(side, good * second.level_pull, 4)
+        information = np.bincount(side, good * second.level_own, 4).tolist()
+        pull = np.bincount(side, good * second.level_pull, 4).tolist()
         noise = middle(edges.residual) / face ** 2
-        for number in ((information > 1e-6) & (width > LEARN_PX)).nonzero()[0].tolist():
-            wide, certain = float(width[number]), float(information[number])
-            level = float(self._level[number] + pull[number] / certain / face)
+        for number, wide in width.items():
+            certain = information[number]
+            if not (certain > 1e-6 and wide > LEARN_PX):
+                continue
+            level = self._level[number] + pull[number] / certain / face
             # A wrong width spreads the strip's light, a wrong edge mixes in the face's.
-            spread = WIDTH_SIGMA_PX * (level - float(behind[number])) / wide
+            spread = WIDTH_SIGMA_PX * (level - self._outside[number] / face) / wide
             mixed = EDGE_SIGMA_PX * (1.0 - level) / wide
             self._update(number, level,
                          noise / certain + spread ** 2 + mixed ** 2 + SURFACE_SIGMA ** 2)
