@@ -17,8 +17,8 @@ import math
 from typing import NamedTuple
 
 from homography_servo.tracking.levels import fit_levels
-from homography_servo.tracking.levels import kept_alone
 from homography_servo.tracking.levels import Known
+from homography_servo.tracking.levels import left_alone
 from homography_servo.tracking.levels import LevelMemory
 from homography_servo.tracking.levels import Levels
 from homography_servo.tracking.levels import middle
@@ -107,11 +107,11 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
 
     """
     geometry, layout = side_geometry(corners), scan.layout
-    first, step, scale = line_distances(scan, geometry)
-    place = profile.places(first, step, len(scan.grey))
+    distance, scale = line_distances(scan, geometry)
+    place = profile.places(distance, len(scan.grey))
     table = np.empty((3, *place.shape), np.float32)
     edge = profile.share_and_slope(place, table[:2])
-    cut_corners(scan, geometry, profile, first, step, edge)
+    cut_corners(scan, geometry, profile, distance, edge)
     edge, table = edge[:, :, :layout.total], table[:, :, :layout.total]
     back = None if strips is None else strips.mix_in(scan, profile, place, scale, edge)
     table[2] = scan.grey
@@ -120,7 +120,7 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
     levels = fit_levels(sums, scan, known, memory)
     contrast, residual, known = levels.contrast, levels.residual, levels.known
     response = slope_grey - levels.outside * sums.plain[1] - contrast * slope_share
-    precision = contrast * contrast * slope_slope * levels.kept + 1e-9
+    precision = contrast * contrast * levels.slope_left + 1e-9
     offset = _straightened(contrast * response / precision, profile.sigma_px)
     variance = residual / precision
     if scale is not None:
@@ -130,7 +130,8 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
     side = layout.segment_side
     second = None
     if back is not None:
-        second = _second(scan, back, edge, levels.outside, contrast, residual / levels.kept)
+        second = _second(scan, back, edge, levels.outside, contrast,
+                         residual * slope_slope / levels.slope_left)
         if scale is not None:
             second = second.in_plane(scale.take(layout.first_line.take(second.segment)))
     return Edges(side, slope_along / np.maximum(slope_slope, 1e-9),
@@ -139,20 +140,23 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
 
 
 def line_distances(scan: Scan, geometry: Geometry
-                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+                   ) -> tuple[np.ndarray, np.ndarray | None]:
     """
-    Give each line's first signed distance, its step, and image pixels per plane unit.
+    Give each line's first signed distance and its step, and image pixels per plane unit.
 
-    Distances are in pixels of the image; the scale is None where the plane is the image.
+    Distances (2, n + c) are in pixels of the image, float32; the scale is None where the
+    plane is the image.
     """
-    normal_u, normal_v, level = geometry.line.take(scan.layout.side, axis=1)
-    first = normal_u * scan.start[0] + normal_v * scan.start[1]
-    first -= level
-    step = normal_u * scan.step[0] + normal_v * scan.step[1]
+    line = geometry.line.take(scan.layout.side, axis=1)
+    along_u, along_v = (scan.place * line[:2]).transpose(1, 0, 2)
+    distance = along_u + along_v
+    distance[0] -= line[2]
     if not scan.bent:
-        return first.astype(np.float32), step.astype(np.float32), None
-    scale = 1.0 / np.sqrt(np.add.reduce(scan.step * scan.step, axis=0))
-    return (first * scale).astype(np.float32), (step * scale).astype(np.float32), scale
+        return distance.astype(np.float32), None
+    step = scan.place[1]
+    scale = 1.0 / np.sqrt(np.add.reduce(step * step, axis=0))
+    distance *= scale
+    return distance.astype(np.float32), scale
 
 
 def _with_common(inward: np.ndarray, variance: np.ndarray, sums: Sums,
@@ -169,21 +173,27 @@ def _with_common(inward: np.ndarray, variance: np.ndarray, sums: Sums,
     doubtful = common * levels.known.doubt
     if abs(doubtful) < SMALL_PX:
         return inward, common
-    learnt = float(weight @ (levels.kept / kept_alone(sums, levels.known))) / total - 1.0
+    learnt = float(weight @ (levels.slope_left / left_alone(sums, levels.known))) / total - 1.0
     return inward + doubtful * learnt, common + doubtful * learnt
 
 
 def _sums(scan: Scan, parts: np.ndarray) -> Sums:
     """Sum up share, slope and grey level of the pixels (3, k, n) and their products."""
     pixels, lines = scan.grey.shape
-    table = np.empty((10, lines), np.float32)
-    np.matmul(_ones(pixels), parts, out=table[:3, None])
-    np.einsum('akn,bkn->abn', parts[:2], parts, out=table[3:9].reshape(2, 3, lines))
+    table = np.empty((13, lines), np.float32)
+    sum_pixels(parts, table)
     np.multiply(table[7], scan.along, out=table[9])
-    sums = np.empty((11, len(scan.layout.lines)))
+    table[10:] = scan.line_sums
+    sums = np.empty((14, len(scan.layout.lines)))
     np.multiply(scan.layout.lines, float(pixels), out=sums[0])
     np.add.reduceat(table, scan.layout.first_line, axis=1, dtype=float, out=sums[1:])
     return Sums(sums)
+
+
+def sum_pixels(parts: np.ndarray, table: np.ndarray) -> None:
+    """Sum up (3, k, n) over k, and its products with the first two, into nine rows (.., n)."""
+    np.matmul(_ones(parts.shape[1]), parts, out=table[:3, None])
+    np.einsum('akn,bkn->abn', parts[:2], parts, out=table[3:9].reshape(2, *table[:3].shape))
 
 
 @lru_cache(maxsize=32)

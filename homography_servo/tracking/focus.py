@@ -6,6 +6,8 @@ from functools import lru_cache
 
 from homography_servo.tracking.edges import line_distances
 from homography_servo.tracking.edges import measure_edges
+from homography_servo.tracking.edges import sum_pixels
+from homography_servo.tracking.profile import along_line
 from homography_servo.tracking.profile import edge_profile
 from homography_servo.tracking.profile import EdgeProfile
 from homography_servo.tracking.profile import PIXEL_SIGMA_PX
@@ -42,46 +44,48 @@ def refocus(scan: Scan, corners: np.ndarray, good: np.ndarray, blur_px: float) -
         Blur to use next.
 
     """
+    layout = scan.layout
+    between = layout.first_line >= layout.near  # close to a corner the next side is in them
+    good = good[between]
     if np.count_nonzero(good) < SEGMENTS_NEEDED:
         return blur_px
     profile = edge_profile(max(round(blur_px / GRID), 1) * GRID)
-    response, energy = _sharpness(scan, corners, profile)
+    response, energy = _sharpness(scan, corners, profile, between)
     sigma_px = profile.sigma_px
-    wanted = sigma_px + response[good].sum() / max(energy[good].sum(), 1e-9)
+    wanted = sigma_px + float(response @ good) / max(float(energy @ good), 1e-9)
     wanted = min(max(wanted, sigma_px / STEP), sigma_px * STEP)
     variance = sigma_px ** 2 + GAIN * (wanted ** 2 - sigma_px ** 2) - PIXEL_SIGMA_PX ** 2
     return min(max(variance, SHARPEST_PX ** 2) ** 0.5, SOFTEST_PX)
 
 
-def _sharpness(scan: Scan, corners: np.ndarray,
-               profile: EdgeProfile) -> tuple[np.ndarray, np.ndarray]:
+def _sharpness(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
+               between: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Ask every segment for the width of its edge, grey levels being unknown.
+    Ask the segments between the corners for the width of their edge.
+
+    Their grey levels are unknown.
 
     Returns
     -------
-    (s,) array, (s,) array
+    (r,) array, (r,) array
         Right-hand side and coefficient of the linear equation for the change of the
         profile's sigma [px].
 
     """
-    first, step, _ = line_distances(scan, side_geometry(corners))
-    total, count = scan.grey.shape[1], len(scan.grey)
-    place = profile.places(first[:total], step[:total], count)
-    share = profile.share(place)
-    away = first[:total] + np.arange(count)[:, None] * step[:total]
-    widened = away * profile.slope(place)  # of the share, times -sigma
-    widened[:, scan.layout.near] = 0.0  # the next side is in these
-    pairs = ((share, scan.grey), (share, share), (widened, scan.grey), (widened, share),
-             (widened, widened))
-    table = np.array([share.sum(axis=0), widened.sum(axis=0),
-                      *(np.einsum('ij,ij->j', a, b) for a, b in pairs)])
-    share, widened, share_grey, share2, widened_grey, widened_share, widened2 = \
-        np.add.reduceat(table, scan.layout.first_line, axis=1)
-    one = count * scan.layout.lines
+    layout, count = scan.layout, len(scan.grey)
+    distance = line_distances(scan, side_geometry(corners))[0][:, layout.near:layout.total]
+    parts = np.empty((3, count, distance.shape[1]), np.float32)
+    profile.share_and_slope(profile.places(distance, count), parts[:2])
+    parts[1] *= along_line(count) @ distance  # change of the share, times -sigma
+    parts[2] = scan.grey[:, layout.near:]
+    table = np.empty((9, distance.shape[1]), np.float32)
+    sum_pixels(parts, table)
+    share, widened, grey, share2, _, share_grey, widened_share, widened2, widened_grey = \
+        np.add.reduceat(table, layout.first_line[between] - layout.near, axis=1, dtype=float)
+    one = count * layout.lines[between]
     inverse = 1.0 / np.maximum(one * share2 - share * share, 1e-6)
-    contrast = (one * share_grey - share * scan.grey_sum) * inverse
-    outside = (scan.grey_sum - contrast * share) / one
+    contrast = (one * share_grey - share * grey) * inverse
+    outside = (grey - contrast * share) / one
     taken = inverse * (share2 * widened ** 2 - 2.0 * share * widened * widened_share
                        + one * widened_share ** 2)
     gain = contrast / profile.sigma_px

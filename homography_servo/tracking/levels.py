@@ -22,13 +22,14 @@ STEADY_GREY = 0.8  # grey levels that change less from picture to picture are re
 FIRST_SPREAD_GREY = 1.0  # of grey levels from picture to picture before that is known
 MEDIAN_TO_SIGMA = 1.48
 LEAST_SQUARE = 1e-8  # of the shares about their mean
-MEMORY_OF_SPREAD = 0.8  # share of earlier pictures in the spread that counts
+SPREAD_GAIN = 0.1  # of a picture that is looked at, in how far levels are alike
+LOOK_EVERY = 4  # pictures: how far levels are alike changes slowly
 
 
 class Sums(NamedTuple):
     """Sums over the pixels of each segment; one table, so that all are added to at once."""
 
-    table: np.ndarray  # (11, s) in the order of the properties below
+    table: np.ndarray  # (14, s) in the order of the properties below
 
     @property
     def one(self) -> np.ndarray:
@@ -48,7 +49,25 @@ class Sums(NamedTuple):
     @property
     def by_slope(self) -> np.ndarray:
         """Sum up the products of share, slope, grey level and place with the slope (4, s)."""
-        return self.table[7:]
+        return self.table[7:11]
+
+    @property
+    def far(self) -> np.ndarray:
+        """Sum up the grey levels of the pixels further away, outside and inside (2, s)."""
+        return self.table[11:13]
+
+    @property
+    def square(self) -> np.ndarray:
+        """Sum up the squared grey levels of the pixels (s,)."""
+        return self.table[13]
+
+
+class Alike(NamedTuple):
+    """How far levels are alike."""
+
+    spread: list[float]  # four, of far and of common levels about the segments' own
+    pixels: np.ndarray  # (2, 2, 1) that such a level stands for; far or common, out- or inside
+    limit: np.ndarray  # (2, 2, 1) how far from a segment's own level it may be
 
 
 class Known(NamedTuple):
@@ -56,7 +75,7 @@ class Known(NamedTuple):
 
     table: np.ndarray  # (8, s) how many they count for, far and common; sums of their grey
     common: list[float]  # two levels that most segments share in this picture
-    spread: list[float]  # four, of far and of common levels about the segments' own
+    alike: Alike
     doubt: float  # how far the common level could give in to an offset of all sides, 0 to 1
 
 
@@ -65,7 +84,7 @@ class Levels(NamedTuple):
 
     outside: np.ndarray  # (s,)
     contrast: np.ndarray  # (s,) inside minus outside
-    kept: np.ndarray  # (s,) share of the offset's information that is left
+    slope_left: np.ndarray  # (s,) squared slopes less what these unknown levels take of them
     residual: np.ndarray  # (s,) mean squared deviation of the pixels from the model
     known: Known
 
@@ -75,12 +94,13 @@ class LevelMemory(NamedTuple):
 
     level: list[float]  # two common grey levels
     variance: list[float]  # of one picture's level about them
-    spread: list[float]  # four, of far and common levels about the segments' own
+    alike: Alike
+    age: int  # pictures
 
     @staticmethod
     def first(known: Known) -> LevelMemory:
         """Begin with one picture."""
-        return LevelMemory(known.common, [FIRST_SPREAD_GREY ** 2] * 2, known.spread)
+        return LevelMemory(known.common, [FIRST_SPREAD_GREY ** 2] * 2, known.alike, 1)
 
     def updated(self, known: Known) -> LevelMemory:
         """Take in another picture."""
@@ -88,8 +108,7 @@ class LevelMemory(NamedTuple):
         return LevelMemory(
             [old + MEMORY_GAIN * change for old, change in zip(self.level, away)],
             [old + MEMORY_GAIN * (change * change - old)
-             for old, change in zip(self.variance, away)],
-            [old + MEMORY_GAIN * (new - old) for old, new in zip(self.spread, known.spread)])
+             for old, change in zip(self.variance, away)], known.alike, self.age + 1)
 
     def gain(self) -> list[float]:
         """Say how much of a new level to believe, 0 to 1, outside and inside."""
@@ -119,61 +138,65 @@ def fit_levels(sums: Sums, scan: Scan, known: Known | None,
     """
     own = _two_levels(sums)
     # At the least squares solution the explained part is the product with the data.
-    missed = scan.grey_square - own.outside * sums.plain[2] - own.contrast * sums.by_share[2]
+    missed = sums.square - own.outside * sums.plain[2] - own.contrast * sums.by_share[2]
     residual = np.maximum(missed, 0.01) / (sums.one - 2.0)
     if known is None:
-        known = _learn(own, scan, middle(residual), memory)
+        known = _learn(own, sums, len(scan.grey), residual, memory)
     sums = _with_known(sums, known, ALL_KNOWN)
     fit = _two_levels(sums)
-    return Levels(fit.outside, fit.contrast, _kept(sums, fit), residual, known)
+    return Levels(fit.outside, fit.contrast, _slope_left(sums, fit), residual, known)
 
 
-def _learn(fit: TwoLevels, scan: Scan, noise: float, memory: LevelMemory | None) -> Known:
+def _learn(fit: TwoLevels, sums: Sums, across: int, residual: np.ndarray,
+           memory: LevelMemory | None) -> Known:
     """Let far pixels and other segments pin the levels down as far as they are alike."""
-    lines = scan.layout.lines
-    levels, table = np.empty((2, len(lines))), np.empty((8, len(lines)))
+    count = len(residual)
+    levels, table = np.empty((2, count)), np.empty((2, 2, 2, count))
     levels[0] = fit.outside
     np.add(fit.outside, fit.contrast, out=levels[1])
-    common, (pixels, grey) = middles(levels), table.reshape(2, 4, -1)
-    grey[:2], grey[2:] = scan.far, common
-    away = np.abs(grey.reshape(2, 2, -1) - levels).reshape(4, -1)
-    spread = [MEDIAN_TO_SIGMA * value for (value,) in middles(away).tolist()]
-    own = believed = [value for (value,) in common.tolist()]
+    common, (pixels, (far, shared)) = middles(levels), table
+    np.divide(sums.far, (FAR_READ / across) * sums.one, out=far)
+    shared[:] = common
+    away = np.abs(table[1] - levels)
+    own = [value for (value,) in common.tolist()]
     doubt = 1.0
     if memory is not None:
         gain = memory.gain()
         doubt = max(gain)
-        believed = [old + share * (new - old)
-                    for old, share, new in zip(memory.level, gain, own)]
-        spread = [new + MEMORY_OF_SPREAD * (old - new)
-                  for old, new in zip(memory.spread, spread)]
-    counted, limit = _pixels(spread, noise, float(lines[len(lines) // 2]), len(scan.grey))
-    grey[2], grey[3] = believed
-    np.multiply(away < limit, counted, out=pixels)  # others have a level of their own
-    grey *= pixels
-    return Known(table, own, spread, doubt)
+        shared[0], shared[1] = [old + share * (new - old)
+                                for old, share, new in zip(memory.level, gain, own)]
+    alike = memory.alike if memory is not None and memory.age % LOOK_EVERY \
+        else _alike(away, middle(residual), float(sums.one[count // 2]), across, memory)
+    np.multiply(away < alike.limit, alike.pixels, out=pixels)  # others have a level of their own
+    table[1] *= pixels
+    return Known(table.reshape(8, count), own, alike, doubt)
 
 
-def _pixels(spread: list[float], noise: float, lines: float, across: int) -> np.ndarray:
+def _alike(away: np.ndarray, noise: float, pixels: float, across: int,
+           memory: LevelMemory | None) -> Alike:
     """
-    Say how many pixels other levels stand for, and how far from a segment's own they may be.
+    Look how far other levels are from those of the segments.
 
     Parameters
     ----------
-    spread : list of float
-        Of far levels outside and inside, and of common ones.
+    away : (2, 2, s) array
+        Distance of far and common levels, outside and inside.
     noise : float
         Variance of a pixel.
-    lines, across : float, int
-        Lines of a segment, pixels of a line.
+    pixels, across : float, int
+        Pixels of a segment, and of one of its lines.
+    memory : LevelMemory or None
+        How far they were in earlier pictures.
 
     Returns
     -------
-    (2, 4, 1) array
-        Pixels; limits.
+    Alike
 
     """
-    of_far, of_own = noise / (FAR_READ * lines), noise / (0.5 * lines * across)
+    spread = [MEDIAN_TO_SIGMA * value for (value,) in middles(away.reshape(4, -1)).tolist()]
+    if memory is not None:
+        spread = [old + SPREAD_GAIN * (new - old) for old, new in zip(memory.alike.spread, spread)]
+    of_far, of_own = noise * across / (FAR_READ * pixels), noise / (0.5 * pixels)
     counted, limit = [], []
     for seen in spread[:2]:
         uneven = max(seen * seen - of_far - of_own, 0.0)
@@ -183,13 +206,13 @@ def _pixels(spread: list[float], noise: float, lines: float, across: int) -> np.
         scatter = max(seen * seen - of_own, 1e-3 * noise)
         counted.append(min(noise / scatter, MOST_POOLED))
         limit.append(FAR_SIGMAS * seen + FLAT_GREY)
-    return np.array((counted, limit))[:, :, None]
+    return Alike(spread, *np.array((counted, limit)).reshape(2, 2, 2, 1))
 
 
-def kept_alone(sums: Sums, known: Known) -> np.ndarray:
-    """Give the share of the offset's information that is kept without other segments (s,)."""
+def left_alone(sums: Sums, known: Known) -> np.ndarray:
+    """Give the squared slopes (s,) that levels leave without other segments."""
     sums = _with_known(sums, known, FAR_KNOWN)
-    return _kept(sums, _two_levels(sums))
+    return _slope_left(sums, _two_levels(sums))
 
 
 class TwoLevels(NamedTuple):
@@ -211,10 +234,12 @@ def _two_levels(sums: Sums) -> TwoLevels:
     return TwoLevels(mean[2] - contrast * mean[0], contrast, slant, mean, centred)
 
 
-def _kept(sums: Sums, fit: TwoLevels) -> np.ndarray:
-    """Give the share of the offset's information that unknown levels leave."""
-    taken = sums.plain[1] * fit.mean[1] + fit.centred[1] * fit.slant
-    return np.maximum(1.0 - taken / (sums.by_slope[1] + 1e-9), 0.1)
+def _slope_left(sums: Sums, fit: TwoLevels) -> np.ndarray:
+    """Give the part of the squared slopes that unknown levels cannot explain."""
+    square = sums.by_slope[1]
+    left = square - sums.plain[1] * fit.mean[1]
+    left -= fit.centred[1] * fit.slant
+    return np.maximum(left, 0.1 * square)
 
 
 def _with_known(sums: Sums, known: Known, adds: np.ndarray) -> Sums:

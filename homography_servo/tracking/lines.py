@@ -8,9 +8,11 @@ changes from picture to picture and is worked out once.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
-from functools import cached_property
 from functools import lru_cache
+from itertools import accumulate
+from itertools import chain
 import math
 from typing import NamedTuple
 
@@ -31,82 +33,67 @@ class Side(NamedTuple):
     ahead: bool  # whether columns or rows grow along the side
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Layout:
     """
     Which lines belong to which side and segment.
 
-    There are n lines in s segments. Arrays of n + c entries repeat the c lines that are
-    close to a corner. Equal only to itself, so that what follows from it can be cached.
+    There are n lines in s segments: first the c lines of segments that are close to a
+    corner, at both ends of each of the m sides, then those between them. Arrays of n + c
+    entries repeat the former at the end. Equal only to itself, so that what follows from it can
+    be cached.
     """
 
     own: np.ndarray  # (n + c,) the line's side
     side: np.ndarray  # (n + c,) the same; for the repeated ones, the side across the corner
-    number: np.ndarray  # (n + c,) counts the lines
-    steep: np.ndarray  # (n + c,) whether it is a row
-    step: np.ndarray  # (2, n + c) from pixel to pixel, u and v
-    near: np.ndarray  # (c,) which lines are repeated
+    total: int  # n
+    near: int  # c
+    blocks: list[int]  # (3 m,) lines at both ends of each side, then between them
+    facing: tuple[tuple[bool, bool], ...]  # (m,) whether steep, and ahead, as in Side
     first_line: np.ndarray  # (s,) of each segment
     lines: np.ndarray  # (s,) in each segment
     segment_side: np.ndarray  # (s,)
-    rising: np.ndarray  # (s,) whether lines run towards the inside
-
-    @cached_property
-    def total(self) -> int:
-        """Give the number of lines."""
-        return len(self.own) - len(self.near)
-
-    @cached_property
-    def outside_inside(self) -> np.ndarray:
-        """Order the sums before and after the lines of the segments, flat, that way: (2, s)."""
-        count = len(self.lines)
-        before, after = np.arange(count), count * self.rising
-        return np.array((before + (count - after), before + after))
+    parts: list[tuple[slice, slice]]  # (m,) segments of each side: at its ends, and between
+    side_lines: list[int]  # (m,) in each side
 
 
 class Lines(NamedTuple):
     """Scan lines before their pixels are read."""
 
     layout: Layout
-    start: np.ndarray  # (2, n + c) u and v of the first pixel, far ones not counted
+    place: np.ndarray  # (2, 2, n + c) first pixel, far ones not counted, and step to the next
     along: np.ndarray  # (n,) place on the side, 0 at its first corner, 1 at its second
 
 
 def place_lines(shown: np.ndarray, sag: np.ndarray | None, half: int, stride: int,
                 per_segment: int, spans: np.ndarray | None, round_px: int) -> Lines:
     """Lay scan lines across all sides; those of a side cover a multiple of `round_px`."""
-    corners, count, first = shown.tolist(), len(shown), 0
-    bends = [(0.0, 0.0)] * count if sag is None else sag.tolist()
-    parts = [(0.0, 1.0)] * count if spans is None else spans.tolist()
-    sides, rows = [], []
-    for here, (corner, bend, part) in enumerate(zip(corners, bends, parts)):
-        row, side = _side_lines(corner, corners[(here + 1) % count], bend, part, first, half,
-                                stride, round_px)
-        rows.append(row)
+    corners, sides, firsts, steps = shown.tolist(), [], [], []
+    parts = [(0.0, 1.0)] * len(corners) if spans is None else spans.tolist()
+    for corner, after, part in zip(corners, corners[1:] + corners[:1], parts):
+        first, step, side = _side_lines(corner, after, part, half, stride, round_px)
+        firsts.append(first)
+        steps.append(step)
         sides.append(side)
-        first += side.lines
-    layout = layout_of(tuple(sides), per_segment)
-    table = np.array(rows).T.take(layout.own, axis=1)
-    table[:3] += table[3:6] * layout.number
-    along = table[2]
-    if sag is not None:
-        table[:2] += table[6:] * (along * (1.0 - along))
-    start = np.rint(table[:2])
-    return Lines(layout, start, along[:layout.total])
+    layout, spread = layout_of(tuple(sides), per_segment)
+    table = np.array(firsts + steps).T @ spread
+    place, along = table[:4].reshape(2, 2, -1), table[4]
+    if sag is not None:  # across the side only
+        place[0] += np.abs(place[1]) * sag.T.take(layout.own, axis=1) \
+            * (4.0 * along * (1.0 - along))
+    return Lines(layout, np.rint(place), along[:layout.total])
 
 
-def _side_lines(start: list[float], end: list[float], bend: list[float], span: list[float],
-                before: int, half: int, stride: int,
-                round_px: int) -> tuple[tuple[float, ...], Side]:
+def _side_lines(start: list[float], end: list[float], span: list[float], half: int, stride: int,
+                round_px: int) -> tuple[tuple[float, ...], tuple[float, ...], Side]:
     """
     Lay scan lines across one side.
 
     Returns
     -------
-    tuple of float, Side
-        Of line 0, which comes `before` lines before the first of this side: u and v of
-        its first pixel and its place on the side; the steps of these three from line to
-        line; four times the bend in u and v.
+    tuple of float, tuple of float, Side
+        First pixel of the first line, step to the next pixel, and place on the side; the
+        change of these five numbers from line to line.
 
     """
     steep = abs(end[1] - start[1]) > abs(end[0] - start[0])
@@ -125,76 +112,104 @@ def _side_lines(start: list[float], end: list[float], bend: list[float], span: l
     if lines < LEAST_PARTS * rounding:
         rounding = 1  # it would cost too much of a short side
     rounded = rounding * (lines // rounding)
-    low -= stride * ((rounded - lines) // 2 + before)
-    across, bow = cross + slope * (low - main) - half, 4.0 * bend[not steep]
-    along, along_step = (low - main) / run, stride / run
-    row: tuple[float, ...]
-    if steep:
-        row = (across, low, along, stride * slope, stride, along_step, bow, 0.0)
-    else:
-        row = (low, across, along, stride, stride * slope, along_step, 0.0, bow)
+    low -= stride * ((rounded - lines) // 2)
     ends = min(2 * (int((near + reach) / stride) // 2 + 1), rounded // 2)
-    return row, Side(rounded, ends, steep, run > 0.0)
+    side = Side(rounded, ends, steep, run > 0.0)
+    across, along = cross + slope * (low - main), (low - main) / run
+    inwards = -1.0 if steep == side.ahead else 1.0
+    across -= half * inwards
+    if steep:
+        return ((across, low, inwards, 0.0, along),
+                (stride * slope, stride, 0.0, 0.0, stride / run), side)
+    return ((low, across, 0.0, inwards, along),
+            (stride, stride * slope, 0.0, 0.0, stride / run), side)
 
 
 @lru_cache(maxsize=64)
-def layout_of(sides: tuple[Side, ...], per_segment: int) -> Layout:
-    """Say which lines belong together."""
-    near: list[int] = []
-    across: list[int] = []
-    count, first = len(sides), 0
-    for here, side in enumerate(sides):
-        after = first + side.lines
-        near += [*range(first, first + side.ends), *range(after - side.ends, after)]
-        before, behind = (here - 1) % count, (here + 1) % count
-        first_across, last_across = (before, behind) if side.ahead else (behind, before)
-        across += [first_across] * side.ends + [last_across] * side.ends
-        first = after
-    own = np.repeat(np.arange(count), [side.lines for side in sides])
-    steep = np.array([side.steep for side in sides])
-    rising = np.array([side.steep != side.ahead for side in sides])
-    return _cut(own, steep, rising, np.array(near, np.intp), np.array(across, np.intp),
-                per_segment)
+def layout_of(sides: tuple[Side, ...], per_segment: int) -> tuple[Layout, np.ndarray]:
+    """
+    Say which lines belong together.
 
+    Returns
+    -------
+    Layout, (2 m, n + c) array
+        What turns values at line 0 of each side and their steps from line to line into
+        those of all lines.
 
-def _cut(own: np.ndarray, steep: np.ndarray, rising: np.ndarray, near: np.ndarray,
-         across: np.ndarray, per_segment: int) -> Layout:
-    """Cut the lines of each side into segments of about the same length."""
-    begun, firsts, lengths, cuts = 0, [], [], []
-    for total in np.bincount(own, minlength=len(steep)).tolist():
-        first, length = _segments(total, per_segment)
-        firsts.append(first + begun)
-        lengths.append(length)
-        cuts.append(len(first))
-        begun += total
-    segment_side = np.repeat(np.arange(len(steep)), cuts)
-    number = np.concatenate((np.arange(begun), near))
-    both = np.concatenate((own, own.take(near)))
-    row = steep.take(both)
-    return Layout(both, np.concatenate((own, across)), number.astype(float), row,
-                  np.array((row, ~row), float), near, np.concatenate(firsts),
-                  np.concatenate(lengths), segment_side, rising.take(segment_side))
+    """
+    parts = [_parts(lines, near, per_segment) for lines, near, _, _ in sides]
+    cuts = [end for part in parts for end in part[:2]] + [between for _, _, between in parts]
+    layout = _layout(cuts, tuple([side[2:] for side in sides]))
+    count, total, blocks = len(sides), len(layout.own), layout.blocks
+    ends = 2 * count
+    first = [number for side, high in zip(sides, blocks[1:ends:2])
+             for number in (0, side.lines - high)]
+    begun = accumulate(blocks + blocks[:ends], initial=0)
+    shift = np.array([number - before
+                      for number, before in zip(first + blocks[:ends:2] + first, begun)])
+    spread = np.empty((2, count, total))
+    _unit(count).take(layout.own, axis=1, out=spread[0], mode='clip')
+    np.multiply(spread[0], shift.repeat(blocks + blocks[:ends]) + np.arange(total), out=spread[1])
+    return layout, spread.reshape(2 * count, total)
 
 
 @lru_cache(maxsize=1024)
-def _segments(lines: int, per_segment: int) -> tuple[np.ndarray, np.ndarray]:
-    """Give the first line of each segment of a side, and how many it has."""
+def _parts(lines: int, ends: int, per_segment: int) -> tuple[list[int], list[int], list[int]]:
+    """Cut a side into segments: those that hold the lines at its ends, and those between."""
+    cut = _segments(lines, per_segment)
+    low, high = (bisect_left(list(accumulate(part)), ends) + 1 for part in (cut, cut[::-1]))
+    if low + high <= len(cut):
+        return cut[:low], cut[-high:], cut[low:-high]
+    return (_segments(ends, per_segment), _segments(ends, per_segment),
+            _segments(lines - 2 * ends, per_segment))
+
+
+def _segments(lines: int, per_segment: int) -> list[int]:
+    """Cut lines into segments of about the same length."""
     count = max(round(lines / per_segment), 1) if lines else 0
     ends = [number * lines // count for number in range(count)] + [lines]
-    return np.array(ends[:-1], np.intp), np.diff(np.array(ends, np.intp))
+    return [end - begin for begin, end in zip(ends, ends[1:])]
 
 
-def lines_within(lines: Lines, corner_count: int, half: int, shape: tuple[int, ...],
-                 per_segment: int) -> Lines:
+def _layout(cuts: list[list[int]], facing: tuple[tuple[bool, bool], ...]) -> Layout:
+    """Arrange the lines of segments, which are given for each block (3 m,)."""
+    count, (own, across) = len(facing), _seen(facing)
+    blocks, ends = list(map(sum, cuts)), 2 * count
+    repeated = blocks + blocks[:ends]
+    line_own, lines = own.repeat(repeated), np.array(list(chain.from_iterable(cuts)))
+    last = list(accumulate(map(len, cuts), initial=0))
+    parts = [(slice(last[2 * side], last[2 * side + 2]),
+              slice(last[ends + side], last[ends + side + 1])) for side in range(count)]
+    side_lines = [low + high + between for low, high, between in zip(
+        blocks[:ends:2], blocks[1:ends:2], blocks[ends:])]
+    return Layout(line_own, across.repeat(repeated), sum(blocks), sum(blocks[:ends]), blocks,
+                  facing, np.add.accumulate(lines) - lines, lines,
+                  own[:3 * count].repeat(list(map(len, cuts))), parts, side_lines)
+
+
+@lru_cache(maxsize=64)
+def _seen(facing: tuple[tuple[bool, bool], ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Give the blocks of lines their side, and the side that they are seen from."""
+    side, ahead = np.arange(len(facing)), np.array(facing)[:, 1]
+    before, behind = np.roll(side, 1), np.roll(side, -1)
+    across = np.where(ahead, (before, behind), (behind, before)).T.ravel()  # at either end
+    own = np.concatenate((side.repeat(2), side, side.repeat(2)))
+    return own, np.concatenate((own[:3 * len(facing)], across))
+
+
+@lru_cache(maxsize=8)
+def _unit(size: int) -> np.ndarray:
+    return np.eye(size)
+
+
+def lines_within(lines: Lines, half: int, shape: tuple[int, ...], per_segment: int) -> Lines:
     """Keep the lines that lie inside the image wholly."""
     layout, total = lines.layout, lines.layout.total
-    before = FAR_PX * layout.step
-    low, high = lines.start - before, lines.start + before + (2 * half) * layout.step
-    limit = np.array([[shape[1]], [shape[0]]])
-    keep = ((low >= 0.0) & (high < limit)).all(axis=0)
-    own, near = keep[:total], keep[total:]
-    steep, rising = np.zeros((2, corner_count), bool)
-    steep[layout.own], rising[layout.segment_side] = layout.steep, layout.rising
-    kept = _cut(layout.own[:total][own], steep, rising, (np.cumsum(own) - 1)[layout.near[near]],
-                layout.side[total:][near], per_segment)
-    return Lines(kept, lines.start[:, keep], lines.along[own])
+    start, step = lines.place
+    both = np.array((start - FAR_PX * step, start + (FAR_PX + 2 * half) * step))
+    inside = (both >= 0.0) & (both < [[shape[1]], [shape[0]]])
+    keep = np.logical_and.reduce(inside, axis=(0, 1))
+    block = np.arange(len(layout.blocks)).repeat(layout.blocks)[keep[:total]]
+    blocks = np.bincount(block, minlength=len(layout.blocks)).tolist()
+    cuts = [_segments(length, per_segment) for length in blocks]
+    return Lines(_layout(cuts, layout.facing), lines.place[:, :, keep], lines.along[keep[:total]])

@@ -115,7 +115,7 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
     held, pull = _held(prior, corners)
     miss = inward
     if first:  # the mean of a side would follow outliers
-        miss = inward - _side_middles(inward, edges.layout, usable, len(corners))
+        miss = inward - _side_middles(inward, edges.layout, usable)
     for sure_px in (look.first_sure_px, look.sure_px) if first else (look.sure_px,):
         variance = _variance(edges, miss) + beyond
         weight = 1.0 - miss * miss / (ROBUST_SIGMAS ** 2 * (variance + sure_px * sure_px))
@@ -195,24 +195,17 @@ def _held(prior: Prior | None, corners: np.ndarray) -> tuple[np.ndarray, np.ndar
     return prior.information, pull if prior.pull is None else pull + prior.pull
 
 
-def _side_middles(votes: np.ndarray, layout: Layout, usable: np.ndarray,
-                  count: int) -> np.ndarray:
-    """Give each segment the median of its side's usable ones; sides come in order."""
-    ends, all_votes = _side_ends(layout, count), votes.tolist()
+def _side_middles(votes: np.ndarray, layout: Layout, usable: np.ndarray) -> np.ndarray:
+    """Give each segment the median of its side's usable ones."""
+    all_votes, middles = votes.tolist(), []
     used = None if np.count_nonzero(usable) == len(usable) else usable.tolist()
-    middles = []
-    for first, last in zip(ends, ends[1:]):  # so few are sorted faster as plain floats
-        own = all_votes[first:last] if used is None \
-            else list(compress(all_votes[first:last], used[first:last]))
+    for ends, between in layout.parts:  # so few are sorted faster as plain floats
+        own = all_votes[ends] + all_votes[between]
+        if used is not None:
+            own = list(compress(own, used[ends] + used[between]))
         own.sort()
         middles.append(own[len(own) // 2] if own else 0.0)
     return np.array(middles).take(layout.segment_side)
-
-
-@lru_cache(maxsize=64)
-def _side_ends(layout: Layout, count: int) -> list[int]:
-    """Give the first segment of each side, and the end of the last."""
-    return layout.segment_side.searchsorted(np.arange(count + 1)).tolist()
 
 
 def noise_of(residual: np.ndarray, pixels: np.ndarray) -> float:

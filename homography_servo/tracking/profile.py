@@ -35,13 +35,13 @@ class EdgeProfile:
         self._slope = np.exp(-0.5 * z * z).astype(np.float32) \
             / np.float32(self.sigma_px * np.sqrt(2.0 * np.pi))
 
-    def places(self, first_px: np.ndarray, step_px: np.ndarray, count: int) -> np.ndarray:
+    def places(self, distance_px: np.ndarray, count: int) -> np.ndarray:
         """
         Find the places in the tables of equally spaced signed distances.
 
         Parameters
         ----------
-        first_px, step_px : (n,) float32 array
+        distance_px : (2, n) float32 array
             Distance of the first pixel of each line, positive inside, and its change
             from pixel to pixel [px].
         count : int
@@ -52,8 +52,8 @@ class EdgeProfile:
         (count, n) integer array
 
         """
-        place = np.multiply.outer(_counted(count), np.float32(STEPS_PER_PX) * step_px)
-        place += np.float32(STEPS_PER_PX) * (first_px + np.float32(REACH_PX + 0.5 / STEPS_PER_PX))
+        place = _along_tables(count) @ distance_px
+        place += np.float32(STEPS_PER_PX * REACH_PX + 0.5)
         return place.astype(np.intp)
 
     def share_and_slope(self, place: np.ndarray, both: np.ndarray | None = None) -> np.ndarray:
@@ -74,8 +74,15 @@ class EdgeProfile:
 
 
 @lru_cache(maxsize=64)
-def _counted(count: int) -> np.ndarray:
-    return np.arange(count, dtype=np.float32)
+def along_line(count: int) -> np.ndarray:
+    """Turn values at the first pixels and their changes (2, n) into those of all: (count, 2)."""
+    pixel = np.arange(count, dtype=np.float32)
+    return np.stack((np.ones_like(pixel), pixel), axis=1)
+
+
+@lru_cache(maxsize=64)
+def _along_tables(count: int) -> np.ndarray:
+    return np.float32(STEPS_PER_PX) * along_line(count)
 
 
 @lru_cache(maxsize=64)

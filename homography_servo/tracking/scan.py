@@ -44,11 +44,8 @@ class Scan(NamedTuple):
     """
 
     grey: np.ndarray  # (k, n) float32 grey levels
-    far: np.ndarray  # (2, s) mean of pixels further away, outside and inside
-    grey_sum: np.ndarray  # (s,) sum of the grey levels of each segment
-    grey_square: np.ndarray  # (s,) and of their squares
-    start: np.ndarray  # (2, n + c) first pixel
-    step: np.ndarray  # (2, n + c) from pixel to pixel
+    line_sums: np.ndarray  # (3, n) of pixels further away, outside and inside; of squares
+    place: np.ndarray  # (2, 2, n + c) first pixel, and step from pixel to pixel
     along: np.ndarray  # (n,) place on the side, 0 at its first corner, 1 at its second
     layout: Layout
     bent: bool  # whether the plane differs from the image
@@ -108,7 +105,7 @@ def read_scan(image: np.ndarray, corners: np.ndarray, plane: Plane, half: int, s
         return None
     lines = place_lines(shown, sag, half, stride, lines_per_segment, spans, round_px)
     if outside_px + half + FAR_PX + 3 > 0.0:
-        lines = lines_within(lines, len(corners), half, image.shape, lines_per_segment)
+        lines = lines_within(lines, half, image.shape, lines_per_segment)
         if lines.layout.total < 3 * len(corners):
             return None
     return _gather(image, plane, half, lines)
@@ -137,42 +134,35 @@ def _outside(shown: np.ndarray, shape: tuple[int, ...]) -> float:
 
 @lru_cache(maxsize=32)
 def _read(half: int) -> tuple[np.ndarray, np.ndarray]:
-    """Give the pixels of a line that are read, as a column, and what sums them up in parts."""
+    """
+    Go to the pixels of a line that are read from first and step, and sum them up.
+
+    The sums are those of the far pixels before and after, and of the squares of the
+    close ones, which follow after all pixels.
+    """
     length = 2 * half + 1
     low = np.arange(-FAR_PX, 0, FAR_STEP)
     pixels = np.concatenate([low, np.arange(length), length - 1 - low[::-1]])
-    part = np.repeat([0, 1, 2], [FAR_READ, length, FAR_READ])
-    return pixels[:, None], np.equal.outer([0, 2, 1], part).astype(np.float32)
-
-
-@lru_cache(maxsize=64)
-def _away(layout: Layout, half: int, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Say how far in memory the pixels (k, n) are from the first of a line, and its step."""
-    step = (np.array((1.0, width)) @ layout.step).astype(np.intp)
-    return _read(half)[0] * step[:layout.total], step
+    part = np.repeat([0, 3, 1, 2], [FAR_READ, length, FAR_READ, length])
+    return (np.stack((np.ones(len(pixels)), pixels), axis=1),
+            np.equal.outer([0, 1, 2], part).astype(np.float32))
 
 
 def _gather(image: np.ndarray, plane: Plane, half: int, lines: Lines) -> Scan:
-    layout, total, width = lines.layout, lines.layout.total, image.shape[1]
-    away, step = _away(layout, half, width)
-    first = (lines.start[0] + width * lines.start[1]).astype(np.intp)
-    grey = image.reshape(-1).take(away + first[:total]).astype(np.float32)
-    close = grey[FAR_READ:-FAR_READ]
-    table = np.empty((4, total), np.float32)
-    np.matmul(_read(half)[1], grey, out=table[:3])
-    np.einsum('ij,ij->j', close, close, out=table[3])
-    sums = np.add.reduceat(table, layout.first_line, axis=1, dtype=float)
-    far = sums[:2].take(layout.outside_inside)
-    far /= FAR_READ * layout.lines
-    start, advance = _in_plane(plane, first, step, half) if plane.bent \
-        else (lines.start, layout.step)
-    return Scan(close, far, sums[2], sums[3], start, advance, lines.along, layout, plane.bent)
+    layout, total = lines.layout, lines.layout.total
+    pixels, parts = _read(half)
+    memory = np.array((1.0, image.shape[1])) @ lines.place  # where first pixels are, and steps
+    table = np.empty((parts.shape[1], total), np.float32)
+    table[:len(pixels)] = image.reshape(-1).take((pixels @ memory[:, :total]).astype(np.intp))
+    close = table[FAR_READ:len(pixels) - FAR_READ]
+    np.multiply(close, close, out=table[len(pixels):])
+    place = _in_plane(plane, memory.astype(np.intp), half) if plane.bent else lines.place
+    return Scan(close, parts @ table, place, lines.along, layout, plane.bent)
 
 
-def _in_plane(plane: Plane, first: np.ndarray, step: np.ndarray,
-              half: int) -> tuple[np.ndarray, np.ndarray]:
-    """Give start and step of lines in the plane of a lens that bends."""
-    last = first + 2 * half * step
-    start = np.array([straight.take(first) for straight in plane.maps])
-    end = np.array([straight.take(last) for straight in plane.maps])
-    return start, (end - start) / (2 * half)
+def _in_plane(plane: Plane, memory: np.ndarray, half: int) -> np.ndarray:
+    """Give first pixels and steps (2, 2, n) of lines in the plane of a lens that bends."""
+    first, step = memory
+    start, end = (np.array([straight.take(pixel) for straight in plane.maps])
+                  for pixel in (first, first + 2 * half * step))
+    return np.array((start, (end - start) / (2 * half)))

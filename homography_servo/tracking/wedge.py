@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 from homography_servo.tracking.lines import Layout
+from homography_servo.tracking.profile import along_line
 from homography_servo.tracking.profile import EdgeProfile
 from homography_servo.tracking.scan import Geometry
 from homography_servo.tracking.scan import Scan
@@ -13,13 +12,13 @@ import numpy as np
 SQUARE = 0.08  # cosine of a corner that may be taken for a right angle
 
 
-def cut_corners(scan: Scan, geometry: Geometry, profile: EdgeProfile, first: np.ndarray,
-                step: np.ndarray, edge: np.ndarray) -> None:
+def cut_corners(scan: Scan, geometry: Geometry, profile: EdgeProfile, distance: np.ndarray,
+                edge: np.ndarray) -> None:
     """
     Let the next side cut off the lines close to a corner.
 
-    The share of a blurred wedge is that of two correlated normal variables, by its
-    series in the correlation (which is 0 at a right angle).
+    The share of a blurred wedge is that of two correlated normal variables, by the first
+    two terms of its series in the correlation (which is 0 at a right angle).
 
     Parameters
     ----------
@@ -29,42 +28,48 @@ def cut_corners(scan: Scan, geometry: Geometry, profile: EdgeProfile, first: np.
         The sides.
     profile : EdgeProfile
         The blurred edge.
-    first, step : (n + c,) float32 array
+    distance : (2, n + c) float32 array
         Distance of each line's first pixel from its side, and its change [px].
     edge : (2, k, n + c) array
-        Share and slope of every pixel for its side alone; those of the first n lines
-        are changed in place.
+        Share and slope of every pixel for its side alone; those of the lines close to a
+        corner are changed in place.
 
     """
     layout, total = scan.layout, scan.layout.total
-    near, alike = layout.near, geometry.normal.T @ geometry.normal
-    skew = -alike.take(_pairs(layout, len(alike))).astype(np.float32)
-    own, (cut_share, cut_slope) = edge.take(near, axis=2), edge[:, :, total:]
-    if np.maximum.reduce(np.abs(skew), initial=0.0) < SQUARE:
-        edge[:, :, near] = own * cut_share
+    near, cosines = layout.near, _corner_cosines(geometry)
+    own, (cut_share, cut_slope) = edge[:, :, :near], edge[:, :, total:]
+    if max(map(abs, cosines)) < SQUARE:
+        own *= cut_share
         return
-    count = np.arange(len(scan.grey), dtype=np.float32)[:, None]
-    away = count * step.take(near)
-    away += first.take(near)
-    beyond = count * step[total:]
-    beyond += first[total:]
+    skew = -_of_near_lines(cosines, layout)
+    pixels = along_line(len(scan.grey))
+    away, beyond = pixels @ distance[:, :near], pixels @ distance[:, total:]
     variance = np.float32(profile.sigma_px ** 2)
-    twist = skew * cut_slope
-    half = beyond
-    half *= twist
-    half *= np.float32(0.5) * skew
+    first = (variance * skew) * cut_slope
+    second = beyond * first
+    second *= (np.float32(0.5) / variance) * skew
+    both = second * away
+    both -= first
     share, slope = own
     share *= cut_share
-    share += slope * (half * away - variance * twist)
-    half *= away * away / variance - np.float32(1.0)
-    twist *= away
-    twist += cut_share
-    twist -= half
-    slope *= twist
-    edge[:, :, near] = own
+    share += slope * both
+    away *= both
+    away /= variance
+    second += cut_share
+    second -= away
+    slope *= second
 
 
-@lru_cache(maxsize=64)
-def _pairs(layout: Layout, corner_count: int) -> np.ndarray:
-    """Give each repeated line (c,) one number for its own side and the one across."""
-    return layout.own[layout.total:] * corner_count + layout.side[layout.total:]
+def _corner_cosines(geometry: Geometry) -> list[float]:
+    """Give the cosine of the angle between each side and the one before."""
+    across, down = geometry.normal.tolist()
+    return [u * before_u + v * before_v for u, before_u, v, before_v in zip(
+        across, across[-1:] + across[:-1], down, down[-1:] + down[:-1])]
+
+
+def _of_near_lines(values: list[float], layout: Layout) -> np.ndarray:
+    """Give the lines close to a corner what belongs to it (c,); corners begin the sides."""
+    ends = []
+    for (_, ahead), first, last in zip(layout.facing, values, values[1:] + values[:1]):
+        ends += [first, last] if ahead else [last, first]
+    return np.array(ends, np.float32).repeat(layout.blocks[:len(ends)])

@@ -51,7 +51,7 @@ def picture(corners, rng, noise=5.0, blur=0.8, inside=200.0, outside=75.0):
 def test_profile_is_a_step_with_its_slope():
     profile = edge_profile(0.8)
     at = np.linspace(-6.0, 6.0, 4001)
-    place = profile.places(at, np.zeros_like(at), 1)
+    place = profile.places(np.array((at, np.zeros_like(at)), np.float32), 1)
     share, slope = profile.share(place)[0], profile.slope(place)[0]
     assert (share[0], share[2000], share[-1]) == pytest.approx((0.0, 0.5, 1.0), abs=0.01)
     assert (np.diff(share) >= 0.0).all()
@@ -65,7 +65,8 @@ def test_every_pixel_near_a_side_is_read_once(seed):
     scan = read_scan((image % 251).astype(np.uint8), corners, IDEAL, 4)
     total = scan.grey.shape[1]
     count = np.arange(9)[:, None]
-    u, v = scan.start[:, None, :total] + count * scan.step[:, None, :total]
+    start, step = scan.place[:, :, None, :total]
+    u, v = start + count * step
     assert scan.grey == pytest.approx((320 * v + u) % 251)
     for side in range(4):
         own = scan.layout.side[:total] == side

@@ -38,7 +38,8 @@ def test_each_line_crosses_its_side_in_its_middle():
     corners = quad()
     lines = lay(corners)
     layout, total = lines.layout, lines.layout.total
-    middle = (lines.start + HALF * layout.step)[:, :total]
+    start, step = lines.place[:, :, :total]
+    middle = start + HALF * step
     side = layout.own[:total]
     edge = np.roll(corners, -1, axis=0) - corners
     on_side = corners[side] + lines.along[:, None] * edge[side]
@@ -49,7 +50,7 @@ def test_lines_near_a_corner_are_repeated_for_the_side_across_it():
     layout = lay(quad()).layout
     across, own = layout.side[layout.total:], layout.own[layout.total:]
     assert set((across - own) % 4) == {1, 3}
-    assert np.array_equal(own, layout.own[layout.near])
+    assert np.array_equal(own, layout.own[:layout.near])
 
 
 def test_the_layout_rests_while_the_polygon_moves():
@@ -69,11 +70,11 @@ def test_segments_cut_every_side_into_neighbouring_lines():
 
 def test_lines_that_would_leave_the_image_are_left_out():
     lines = lay(quad(centre=(30.0, 120.0)))
-    kept = lines_within(lines, 4, HALF, (240, 320), PER_SEGMENT)
+    kept = lines_within(lines, HALF, (240, 320), PER_SEGMENT)
     total = kept.layout.total
     assert 0 < total < lines.layout.total
-    start = kept.start[:, :total]
+    start = kept.place[0, :, :total]
     assert start.min() >= 0.0
     assert np.array_equal(np.unique(kept.layout.segment_side), np.unique(kept.layout.own))
-    places = {tuple(place) for place in lines.start[:, :lines.layout.total].T}
+    places = {tuple(place) for place in lines.place[0, :, :lines.layout.total].T}
     assert {tuple(place) for place in start.T} <= places
