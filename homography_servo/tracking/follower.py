@@ -22,9 +22,9 @@ from homography_servo.tracking.polygon_fit import Look
 from homography_servo.tracking.polygon_fit import Prior
 from homography_servo.tracking.polygon_fit import SnakeFit
 from homography_servo.tracking.print_follower import PrintFollower
+from homography_servo.tracking.quality import INLIER_WEIGHT
 from homography_servo.tracking.scan import read_scan
 from homography_servo.tracking.snake import fit_snake
-from homography_servo.tracking.snake import INLIER_WEIGHT
 from homography_servo.tracking.tracker_settings import POLARITIES
 from homography_servo.tracking.tracker_settings import TrackerSettings
 import numpy as np

@@ -13,15 +13,15 @@ from homography_servo.result import required
 from homography_servo.tracking.edges import Edges
 from homography_servo.tracking.edges import SecondEdge
 from homography_servo.tracking.lines import Layout
+from homography_servo.tracking.quality import noise_of
+from homography_servo.tracking.quality import Quality
 from homography_servo.tracking.scan import Scan
 from homography_servo.tracking.strips import Strips
 import numpy as np
 
 MODEL_ERROR_PX = 0.005  # straightness of a printed or cut edge, over one segment
-NOISE_FLOOR = 0.3  # mean squared grey level; rounding alone gives 1/12
 ROBUST_SIGMAS = 4.0  # where Tukey's weight ends
 ODD_SIGMAS = 3.0  # a residual this far above its mean is more than noise
-QUIET_SHARE, QUIET_SIGMAS = 0.25, 0.674  # the lower quartile, and how far below the mean it is
 
 
 class Prior(NamedTuple):
@@ -46,17 +46,6 @@ class Look(NamedTuple):
     first_sure_px: float = 0.6  # the same in the first round
     least: int = 8  # segments that must show an edge
     round_px: int = 1  # lines of a side cover a multiple of this: their arrangement rests
-
-
-class Quality(NamedTuple):
-    """How well the edges support a shape."""
-
-    inlier_share: float  # of all lines
-    side_share: np.ndarray  # (m,) of the lines of each side
-    contrast: float  # median of inside minus outside over the inliers, grey levels
-    residual: float  # RMS distance of the inliers from the shape [px]
-    noise: float  # pixel noise found, grey levels
-    inside: float  # median grey level inside
 
 
 class SnakeFit(NamedTuple):
@@ -206,12 +195,3 @@ def _side_middles(votes: np.ndarray, layout: Layout, usable: np.ndarray) -> np.n
         own.sort()
         middles.append(own[len(own) // 2] if own else 0.0)
     return np.array(middles).take(layout.segment_side)
-
-
-def noise_of(residual: np.ndarray, pixels: np.ndarray) -> float:
-    """Estimate the variance of the pixel noise from the quieter segments."""
-    count, ordered = len(residual), residual.copy()
-    quiet, typical = int(QUIET_SHARE * count), float(pixels[count // 2])
-    ordered.partition(quiet)
-    usual = 1.0 - QUIET_SIGMAS * math.sqrt(2.0 / typical)  # of the noise, in so few pixels
-    return max(float(ordered[quiet]) / usual, NOISE_FLOOR)

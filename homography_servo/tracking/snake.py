@@ -8,21 +8,18 @@ from homography_servo.result import Rejected
 from homography_servo.tracking.edges import Edges
 from homography_servo.tracking.edges import measure_edges
 from homography_servo.tracking.levels import LevelMemory
-from homography_servo.tracking.levels import middle
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import fit_polygon
 from homography_servo.tracking.polygon_fit import Look
-from homography_servo.tracking.polygon_fit import noise_of
 from homography_servo.tracking.polygon_fit import Prior
-from homography_servo.tracking.polygon_fit import Quality
 from homography_servo.tracking.polygon_fit import SnakeFit
 from homography_servo.tracking.profile import edge_profile
+from homography_servo.tracking.quality import Quality
 from homography_servo.tracking.scan import read_scan
 from homography_servo.tracking.scan import Scan
 from homography_servo.tracking.strips import Strips
 import numpy as np
 
-INLIER_WEIGHT = 0.1
 MOST_DONE_PX, MOST_STEADY_PX = 0.3, 0.3  # largest last step; step that leaves levels as they are
 SAME_LEVELS_PX = 0.03  # all sides in or out by less: grey levels need no second look
 IMAGE_PLANE = Plane(None)
@@ -87,30 +84,13 @@ def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = I
             break
         if strips is not None:
             strips = strips._replace(width=strips.width + strips.rows @ fit.step)
-    return fit._replace(quality=quality_of(fit), scan=scan, strips=strips)
+    return fit._replace(quality=Quality(fit.edges, fit.weight, fit.miss), scan=scan, strips=strips)
 
 
 def _usable(edges: Edges, sigma_px: float, polarity: int) -> np.ndarray:
     """Choose segments whose edge stands out of the noise, with the right sign."""
     clear = edges.variance < (0.5 * sigma_px) ** 2
     return clear & (edges.contrast * polarity > 0.0) if polarity else clear
-
-
-def quality_of(fit: SnakeFit) -> Quality:
-    """Summarise the support of a fit."""
-    edges, count = fit.edges, len(fit.corners)
-    inlier = fit.weight > INLIER_WEIGHT
-    total = supported = np.bincount(edges.side, edges.pixels, count)
-    contrast, outside, miss = edges.contrast, edges.outside, fit.miss
-    if np.count_nonzero(inlier) < len(inlier):
-        supported = np.bincount(edges.side, edges.pixels * inlier, count)
-        contrast, outside, miss = contrast[inlier], outside[inlier], miss[inlier]
-    noise, share = math.sqrt(noise_of(edges.residual, edges.pixels)), \
-        supported / np.maximum(total, 1.0)
-    if not len(miss):
-        return Quality(0.0, share, 0.0, np.inf, noise, 0.0)
-    return Quality(sum(supported.tolist()) / sum(total.tolist()), share, middle(contrast),
-                   math.sqrt(float(miss @ miss) / len(miss)), noise, middle(outside + contrast))
 
 
 def sound(corners: np.ndarray) -> bool:

@@ -39,6 +39,7 @@ class ClosedSpline:
             / samples_per_span
         self.basis, self.slope_basis = self.basis_at(self.parameters)
         self.control_from_corners = self._straight_sides()
+        self._outline_basis = self.basis @ self.control_from_corners
 
     def basis_at(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -79,6 +80,10 @@ class ClosedSpline:
     def curve(self, control: np.ndarray) -> np.ndarray:
         """Sample the (M, 2) points of the curve."""
         return self.basis @ control
+
+    def outline(self, corners: np.ndarray) -> np.ndarray:
+        """Sample the (M, 2) points of the curve with straight sides between corners."""
+        return self._outline_basis @ corners
 
     def corners_of_curve(self, curve: np.ndarray) -> np.ndarray:
         """Pick the corners (corner_count, 2) out of a sampled curve, which has them exactly."""

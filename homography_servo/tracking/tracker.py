@@ -11,8 +11,8 @@ from homography_servo.tracking.follower import Follower
 from homography_servo.tracking.follower import GIVEN_SHAPE_SIGMA_PX
 from homography_servo.tracking.motion import shape_prior
 from homography_servo.tracking.plane import Plane
-from homography_servo.tracking.polygon_fit import Quality
 from homography_servo.tracking.polygon_fit import SnakeFit
+from homography_servo.tracking.quality import Quality
 from homography_servo.tracking.spline import ClosedSpline
 from homography_servo.tracking.target import Target
 from homography_servo.tracking.tracker_settings import POLARITIES
@@ -198,7 +198,7 @@ class Tracker:
             return Track(self._state, None, None, None, fit.quality,
                          'found, not yet confirmed')
         self._state = TRACKING
-        contour_px = self._plane.to_image(self._spline.curve(self._spline.control(fit.corners)))
+        contour_px = self._plane.to_image(self._spline.outline(fit.corners))
         self._last_px = self._spline.corners_of_curve(contour_px)
         return Track(TRACKING, self._last_px,
                      self._plane.covariance_to_image(fit.corners, fit.covariance), contour_px,
