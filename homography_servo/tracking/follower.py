@@ -33,10 +33,9 @@ WIDE = (Look(4.0, 12, 3, 3, 3, 2.0, 1.0, 2.0), Look(2.0, 8, 3, 3, 3, 2.0, 0.5, 1
 MEDIUM = WIDE[1:]
 GIVEN_SHAPE_SIGMA_PX = 4.0  # of corners that a person, the arm or a rough look gives
 FOCUS_HALF = 8  # pixels around the edges for a first look at the blur
-REFOCUS_EVERY, REFOCUS_FIRST = 10, 10  # pictures
 CLEAR_SIDE = 0.9  # share of its lines that makes a side clear
-CHECK_EVERY = 4  # pictures: the shape of a face all of whose sides are clear
-REMEMBER_EVERY, KEY_EVERY = 5, 12
+SELDOM = 4  # one picture in so many bears what need not be done in each
+REFOCUS_EVERY, REFOCUS_FIRST, KEY_EVERY = 3 * SELDOM, 10, 3 * SELDOM  # pictures
 MOST_ROUNDS = 6  # of a first fit, until it is sure
 ROUND_PX = 8  # sides of a face that is followed are cut to a multiple of this
 DONE_SIGMAS = 20.0  # a step leaves about 1/20 of itself: less than what noise moves
@@ -186,7 +185,7 @@ class Follower:
         self._motion.measured(fit.corners, stamp_s)
         self._accepted += 1
         self._learn_sides(fit)
-        if self._accepted % REMEMBER_EVERY == 1:
+        if self._accepted % SELDOM == 1:
             self._locator.remember(image, self._plane.to_image(fit.corners))
         if not self._print.known and self._accepted % KEY_EVERY == 1:
             self._print.remember(image, fit.corners)
@@ -195,7 +194,7 @@ class Follower:
         if fit.by_print:
             return  # its edges are too weak to learn from
         self._shape.learn(fit)
-        if self._accepted <= REFOCUS_FIRST or self._accepted % REFOCUS_EVERY == 0:
+        if self._accepted <= REFOCUS_FIRST or self._accepted % REFOCUS_EVERY == SELDOM + 1:
             clean = (fit.weight > INLIER_WEIGHT) & fit.edges.single
             self.blur_px = refocus(required(fit.scan, 'scan'), fit.corners, clean, self.blur_px)
 
@@ -224,7 +223,7 @@ class Follower:
         settings, following = self.settings, self.following
         doubt = weak_support(fit, settings) or surprise(fit, prior, settings, following)
         if not doubt and (min(fit.judged.side_share.tolist()) <= CLEAR_SIDE
-                          or self._accepted % CHECK_EVERY == 0):
+                          or self._accepted % SELDOM == 0):
             doubt = self._face.doubt(fit.corners, settings) or self._elsewhere(image, fit)
         return Rejected(doubt) if doubt else fit
 
