@@ -16,10 +16,10 @@ from functools import lru_cache
 import math
 from typing import NamedTuple
 
+from homography_servo.tracking.level_memory import Known
+from homography_servo.tracking.level_memory import LevelMemory
 from homography_servo.tracking.levels import fit_levels
-from homography_servo.tracking.levels import Known
 from homography_servo.tracking.levels import left_alone
-from homography_servo.tracking.levels import LevelMemory
 from homography_servo.tracking.levels import Levels
 from homography_servo.tracking.levels import middle
 from homography_servo.tracking.levels import Sums

@@ -12,7 +12,7 @@ from homography_servo.tracking.doubts import weak_support
 from homography_servo.tracking.face_shape import FaceShape
 from homography_servo.tracking.focus import first_focus
 from homography_servo.tracking.focus import refocus
-from homography_servo.tracking.levels import LevelMemory
+from homography_servo.tracking.level_memory import LevelMemory
 from homography_servo.tracking.locate import Locator
 from homography_servo.tracking.motion import both
 from homography_servo.tracking.motion import Motion

@@ -7,7 +7,7 @@ import math
 from homography_servo.result import Rejected
 from homography_servo.tracking.edges import Edges
 from homography_servo.tracking.edges import measure_edges
-from homography_servo.tracking.levels import LevelMemory
+from homography_servo.tracking.level_memory import LevelMemory
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import fit_polygon
 from homography_servo.tracking.polygon_fit import Look
