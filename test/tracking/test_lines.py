@@ -68,6 +68,16 @@ def test_segments_cut_every_side_into_neighbouring_lines():
     assert layout.lines.min() >= 4 and layout.lines.max() <= 8
 
 
+@pytest.mark.parametrize('angle', np.linspace(-3.0, 3.0, 9))
+def test_segments_are_as_short_at_the_corners_as_between(angle):
+    # A longer one would mix more of what hides a side with the little that shows of it.
+    layout = lay(quad(angle)).layout
+    at_ends = layout.first_line < layout.near
+    assert 8 <= np.count_nonzero(at_ends) < len(at_ends)
+    for lines in (layout.lines[at_ends], layout.lines[~at_ends]):
+        assert abs(lines - PER_SEGMENT).max() <= 1
+
+
 def test_lines_that_would_leave_the_image_are_left_out():
     lines = lay(quad(centre=(30.0, 120.0)))
     kept = lines_within(lines, HALF, (240, 320), PER_SEGMENT)
