@@ -16,8 +16,6 @@ from homography_servo.tracking.polygon_fit import SnakeFit
 from homography_servo.tracking.tracker_settings import TrackerSettings
 import numpy as np
 
-SEEN_SIDE = 0.3  # share of its lines that makes a side seen
-SIDES_NEEDED = 3
 OTHER_SIZE = 0.25  # relative change of size from one picture to the next
 SETTLED_PX = 0.5  # largest last step of a fit that has found its place
 
@@ -29,7 +27,7 @@ def weak_support(fit: SnakeFit, settings: TrackerSettings) -> str:
         return f'the contrast of the edges is {quality.contrast:.0f} grey levels'
     if quality.inlier_share < settings.min_inlier_share:
         return f'only {quality.inlier_share:.0%} of the lines agree'
-    if sum(share > SEEN_SIDE for share in quality.side_share.tolist()) < SIDES_NEEDED:
+    if not quality.enough_sides:
         return 'fewer than three sides are visible'
     if fit.moved_px > SETTLED_PX:
         return f'the fit has not settled: it moves by {fit.moved_px:.1f} px'
@@ -112,7 +110,4 @@ class FaceCheck:
         return ''
 
     def _miss_px(self, pose: FacePose | Rejected) -> float:
-        if isinstance(pose, Rejected):
-            return math.inf
-        focal, miss = self._plane.focal.tolist(), pose.miss
-        return 0.5 * sum(focal) * math.sqrt(float(np.vdot(miss, miss)) / miss.size)
+        return math.inf if isinstance(pose, Rejected) else float(self._plane.rms_px(pose.miss))

@@ -6,7 +6,6 @@ from homography_servo.result import Rejected
 from homography_servo.result import required
 from homography_servo.tracking.box import BoxSides
 from homography_servo.tracking.doubts import FaceCheck
-from homography_servo.tracking.doubts import SEEN_SIDE
 from homography_servo.tracking.doubts import surprise
 from homography_servo.tracking.doubts import weak_support
 from homography_servo.tracking.face_shape import FaceShape
@@ -23,6 +22,7 @@ from homography_servo.tracking.polygon_fit import Prior
 from homography_servo.tracking.polygon_fit import SnakeFit
 from homography_servo.tracking.print_follower import PrintFollower
 from homography_servo.tracking.quality import INLIER_WEIGHT
+from homography_servo.tracking.quality import SEEN_SIDE
 from homography_servo.tracking.scan import read_scan
 from homography_servo.tracking.snake import fit_snake
 from homography_servo.tracking.tracker_settings import POLARITIES

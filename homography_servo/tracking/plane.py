@@ -6,6 +6,8 @@ from homography_servo.geometry.camera import Camera
 from homography_servo.result import required
 import numpy as np
 
+NEAREST_M = 1e-6  # depth of what can be projected
+
 
 class Plane:
     """
@@ -25,6 +27,7 @@ class Plane:
         self.bent = camera is not None and camera.bends
         if camera is not None:
             self.focal = np.array([camera.fx, camera.fy])
+            self.mean_focal = 0.5 * (camera.fx + camera.fy)
             self._centre = np.array([camera.cx, camera.cy])
         self._maps: tuple[np.ndarray, np.ndarray] | None = None
 
@@ -56,6 +59,19 @@ class Plane:
     def from_rays(self, rays: np.ndarray) -> np.ndarray:
         """Turn normalised coordinates (..., 2) into points of the plane."""
         return rays * self.focal + self._centre
+
+    def rays_in_space(self, points: np.ndarray) -> np.ndarray:
+        """Give the rays (..., 3) to points (..., 2) of the plane; their depth is 1."""
+        return np.concatenate([self.rays(points), np.ones((*points.shape[:-1], 1))], axis=-1)
+
+    def from_space(self, points_m: np.ndarray) -> np.ndarray:
+        """Project points (..., 3) of the camera's frame; those behind it come out far away."""
+        return self.from_rays(points_m[..., :2] / np.maximum(points_m[..., 2:], NEAREST_M))
+
+    def rms_px(self, miss: np.ndarray) -> np.ndarray:
+        """Give the RMS (...) of what coordinates (..., N, 2) of rays miss [px]."""
+        square = np.einsum('...ij,...ij', miss, miss) / (2 * miss.shape[-2])
+        return self.mean_focal * np.sqrt(square)
 
     def covariance_to_image(self, corners: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         """Carry the covariance (2m, 2m) of corners of the plane into the image."""

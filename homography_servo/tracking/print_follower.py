@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from homography_servo.result import Rejected
 from homography_servo.tracking.doubts import FaceCheck
-from homography_servo.tracking.doubts import SEEN_SIDE
-from homography_servo.tracking.doubts import SIDES_NEEDED
 from homography_servo.tracking.doubts import surprise
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import Look
 from homography_servo.tracking.polygon_fit import Prior
 from homography_servo.tracking.polygon_fit import SnakeFit
+from homography_servo.tracking.quality import SEEN_SIDE
+from homography_servo.tracking.quality import SIDES_NEEDED
 from homography_servo.tracking.snake import fit_snake
 from homography_servo.tracking.texture import FaceTexture
 from homography_servo.tracking.tracker_settings import POLARITIES

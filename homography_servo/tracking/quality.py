@@ -10,6 +10,7 @@ from homography_servo.tracking.levels import middle
 import numpy as np
 
 INLIER_WEIGHT = 0.1
+SEEN_SIDE, SIDES_NEEDED = 0.3, 3  # share of its lines that makes a side seen
 NOISE_FLOOR = 0.3  # mean squared grey level; rounding alone gives 1/12
 QUIET_SHARE, QUIET_SIGMAS = 0.25, 0.674  # the lower quartile, and how far below the mean it is
 
@@ -51,6 +52,11 @@ class Quality:
         self.side_share = np.array([part / max(whole, 1) for part, whole in zip(supported, total)])
         self.inlier_share = sum(supported) / sum(total)
         self.contrast = middle(edges.contrast[self._inlier]) if self.inlier_share else 0.0
+
+    @property
+    def enough_sides(self) -> bool:
+        """Tell whether so many sides are seen that the others follow from them."""
+        return sum(share > SEEN_SIDE for share in self.side_share.tolist()) >= SIDES_NEEDED
 
     @cached_property
     def residual(self) -> float:

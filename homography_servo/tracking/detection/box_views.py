@@ -21,6 +21,7 @@ from homography_servo.tracking.detection.outlook import Rows
 from homography_servo.tracking.detection.outlook import rows_across
 from homography_servo.tracking.detection.views import linearise
 from homography_servo.tracking.detection.views import moved
+from homography_servo.tracking.detection.views import projected
 from homography_servo.tracking.detection.views import Views
 from homography_servo.tracking.plane import Plane
 import numpy as np
@@ -102,8 +103,7 @@ def look_at(picture: Picture, views: Views, points_m: np.ndarray, plane: Plane,
 
 def _sides(views: Views, points_m: np.ndarray, plane: Plane) -> tuple[np.ndarray, np.ndarray]:
     """Give the sides of the box (n, 4, 4, 2), and their widths (n, 4), < 0 if turned away."""
-    points = points_m[4:] @ views.rotation.transpose(0, 2, 1) + views.translation[:, None]
-    behind = plane.from_rays(points[..., :2] / np.maximum(points[..., 2:], 1e-6))
+    behind = projected(points_m[4:], views.rotation, views.translation, plane)
     front, away = views.corners, behind - views.corners
     normal = edges_and_normals(front)[1]
     width = -0.5 * (normal * (away + away[:, AFTER])).sum(axis=2)
@@ -153,8 +153,7 @@ def nearer(views: Views, seen: BoxOutlook, points_m: np.ndarray, plane: Plane) -
     """
     slope = linearise(points_m, views.rotation, views.translation)[1]
     slope = slope.reshape(len(slope), len(points_m), 2, 6) * plane.focal[:, None]
-    points = points_m @ views.rotation.transpose(0, 2, 1) + views.translation[:, None]
-    corners = plane.from_rays(points[..., :2] / np.maximum(points[..., 2:], 1e-6))
+    corners = projected(points_m, views.rotation, views.translation, plane)
     rows, inward, weight = [], [], []
     for part, outlook, sure in ((slice(0, 4), seen.face, np.ones(seen.sure.shape)),
                                 (slice(4, 8), seen.back, seen.sure)):

@@ -97,24 +97,21 @@ def best_pose(quad: np.ndarray, face_size_m: tuple[float, float], plane: Plane
     Returns
     -------
     FacePose or None, float, int
-        The better one, the RMS distance of the corners from its projection [px], and
+        The better one, the RMS of what its projection misses of the corners [px], and
         by how many places the corners must be rolled.
 
     """
     points_m, rays = face_corners(*face_size_m), plane.rays(quad)
     rough = [pose_of_face(points_m, np.roll(rays, -turn, axis=0), None, 0) for turn in (0, 1)]
-    better = int(_missed(rough[1], plane) < _missed(rough[0], plane))
+    better = int(_miss_px(rough[1], plane) < _miss_px(rough[0], plane))
     pose = rough[better]
     if not isinstance(pose, Rejected):
         pose = pose_of_face(points_m, np.roll(rays, -better, axis=0), pose)
-    return (None if isinstance(pose, Rejected) else pose), _missed(pose, plane), better
+    return (None if isinstance(pose, Rejected) else pose), _miss_px(pose, plane), better
 
 
-def _missed(pose: FacePose | Rejected, plane: Plane) -> float:
-    """Give the RMS distance of the corners from the projected face [px]."""
-    if isinstance(pose, Rejected):
-        return np.inf
-    return float(plane.focal.mean() * np.sqrt(np.mean(pose.miss ** 2)))
+def _miss_px(pose: FacePose | Rejected, plane: Plane) -> float:
+    return np.inf if isinstance(pose, Rejected) else float(plane.rms_px(pose.miss))
 
 
 def _size(quad: np.ndarray) -> float:

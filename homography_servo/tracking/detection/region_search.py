@@ -17,6 +17,7 @@ from homography_servo.tracking.detection.region_check import CLEAR_GREY
 from homography_servo.tracking.detection.region_check import EVEN_GREY
 from homography_servo.tracking.detection.region_check import examine
 from homography_servo.tracking.detection.region_check import LEAST_SCORE
+from homography_servo.tracking.detection.views import parallelograms
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.target import Found
 from homography_servo.tracking.target import STEEPEST
@@ -65,7 +66,7 @@ def find_by_regions(image: np.ndarray, target: Target, plane: Plane) -> Found | 
 
 def candidates(image: np.ndarray, target: Target, plane: Plane) -> np.ndarray:
     """List quadrilaterals (N, 4, 2) in the plane that may be the face, best first."""
-    longest_px = plane.focal.mean() * max(target.face_size_m) / target.farthest_m
+    longest_px = plane.mean_focal * max(target.face_size_m) / target.farthest_m
     least = STEEPEST * longest_px ** 2 * min(target.face_size_m) / max(target.face_size_m)
     quads = list_quads(image, least)
     if not len(quads):
@@ -98,22 +99,8 @@ def _distinct(quads: np.ndarray) -> np.ndarray:
 
 
 def _in_proportion(quads: np.ndarray, target: Target, plane: Plane) -> np.ndarray:
-    """
-    Tell which quadrilaterals may be views of the face; their corners are rough.
-
-    The depths of the corners are those that make it a parallelogram in space.
-    """
-    rays = np.concatenate([plane.rays(quads), np.ones((*quads.shape[:2], 1))], axis=2)
-    first, second, third, fourth = rays.transpose(1, 0, 2)
-
-    def volume(one: np.ndarray, two: np.ndarray, three: np.ndarray) -> np.ndarray:
-        return (np.cross(one, two) * three).sum(axis=1)
-
-    depth = volume(first, second, third), volume(second, third, fourth), \
-        volume(first, third, fourth), volume(first, second, fourth)
-    near = depth[1][:, None] * first
-    across = depth[2][:, None] * second - near
-    down = depth[0][:, None] * fourth - near
+    """Tell which quadrilaterals may be views of the face; their corners are rough."""
+    across, down, _ = parallelograms(quads, plane)
     long, short = (np.linalg.norm(edge, axis=1) + 1e-12 for edge in (across, down))
     skew = np.abs((across * down).sum(axis=1)) / (long * short)
     wanted = abs(np.log(target.face_size_m[0] / target.face_size_m[1]))
@@ -130,7 +117,7 @@ def _affine_pose(quads: np.ndarray, target: Target,
     for width, height in (target.face_size_m, target.face_size_m[::-1]):
         spread = np.linalg.svd(np.stack([across / width, down / height], axis=2),
                                compute_uv=False)
-        depth = plane.focal.mean() / np.maximum(spread[:, 0], 1e-9)
+        depth = plane.mean_focal / np.maximum(spread[:, 0], 1e-9)
         cosine = spread[:, 1] / np.maximum(spread[:, 0], 1e-9)
         possible = (depth > 0.85 * target.nearest_m) & (depth < 1.15 * target.farthest_m) \
             & (cosine > 0.8 * STEEPEST)

@@ -149,11 +149,11 @@ def quads_of_three(sides: Sides, corners: Corners, threes: Threes,
     fourths = [ends]
     for ratio in (proportion, 1.0 / proportion):
         lowest = first + ratio * reach * down
-        fourths.append((_shown(plane, lowest), _shown(plane, lowest + across)))
+        fourths.append((plane.from_space(lowest), plane.from_space(lowest + across)))
     for end, side in zip(ends, (1.0, -1.0)):
-        ray = _rays(plane, end)
+        ray = plane.rays_in_space(end)
         lowest = ray * height / ((normal * ray).sum(axis=1)[:, None] + 1e-12)
-        other = _shown(plane, lowest + side * across)
+        other = plane.from_space(lowest + side * across)
         fourths.append((end, other) if side > 0.0 else (other, end))
     quads = np.concatenate([np.stack([near, far, third, fourth], axis=1)
                             for fourth, third in fourths])
@@ -175,24 +175,15 @@ def _turned_rectangle(plane: Plane, near: np.ndarray, far: np.ndarray, into: np.
         up to one scale.
 
     """
-    near_ray, far_ray = _rays(plane, near), _rays(plane, far)
-    line = np.cross(near_ray, _rays(plane, near - into))
-    down = unit(np.cross(line, np.cross(far_ray, _rays(plane, far + out))))
+    near_ray, far_ray = plane.rays_in_space(near), plane.rays_in_space(far)
+    line = np.cross(near_ray, plane.rays_in_space(near - into))
+    down = unit(np.cross(line, np.cross(far_ray, plane.rays_in_space(far + out))))
     down *= np.where((np.cross(line, near_ray) * down).sum(axis=1) > 0.0, 1.0, -1.0)[:, None]
     level = unit(np.cross(np.cross(near_ray, far_ray), down))
     normal = np.cross(level, down)
     depth = [1.0 / ((normal * ray).sum(axis=1)[:, None] + 1e-12) for ray in (near_ray, far_ray)]
     first = near_ray
     return far_ray * depth[1] / depth[0] - first, down, first
-
-
-def _rays(plane: Plane, points: np.ndarray) -> np.ndarray:
-    return np.column_stack([plane.rays(points), np.ones(len(points))])
-
-
-def _shown(plane: Plane, points: np.ndarray) -> np.ndarray:
-    depth = np.where(points[:, 2:] > 1e-6, points[:, 2:], 1e-6)
-    return plane.from_rays(points[:, :2] / depth)
 
 
 def _cross(one: np.ndarray, two: np.ndarray) -> np.ndarray:

@@ -33,8 +33,7 @@ GUESSED_SIGMA = 0.01  # of the corners about a view through a guessed lens, by t
 CLOSEST_PX = 2.5  # from an edge to the farthest change that supports it
 HALF, STEPS, SIDE_ROUNDS = 5, 3, 2
 LEAST_INLIERS = 0.5
-SEEN_SIDE, SIDES_NEEDED = 0.3, 3
-# RMS distance of free corners from a view: of the face, and how much more of other things.
+# RMS of what a view misses of free corners: of the face, and how much more of other things.
 OWN_MISS_PX, OTHER_MISS_PX = 0.1, 0.35
 MOST_AGAINST = 3.0  # a miss that is no accident: something hides a part of a side
 
@@ -66,8 +65,7 @@ def check_view(picture: Picture, corners: np.ndarray, target: Target,
     if isinstance(fit, Rejected):
         return fit
     quality = fit.judged
-    if quality.inlier_share < LEAST_INLIERS \
-            or np.count_nonzero(quality.side_share > SEEN_SIDE) < SIDES_NEEDED:
+    if quality.inlier_share < LEAST_INLIERS or not quality.enough_sides:
         return Rejected('the edges do not support the quadrilateral')
     outline = box.outline(fit.corners)
     if isinstance(outline, Rejected):
@@ -128,7 +126,7 @@ def _shape_odds(image: np.ndarray, fit: SnakeFit, box: BoxSides, target: Target,
     outline = box.outline(free.corners)
     if isinstance(outline, Rejected):
         return -MOST_AGAINST
-    square = float(plane.focal.mean() ** 2 * np.mean(outline.pose.miss ** 2))
+    square = float(plane.rms_px(outline.pose.miss)) ** 2
     own = OWN_MISS_PX ** 2 + float(np.trace(free.covariance)) / 32.0
     if target.guessed_lens:
         own += (GUESSED_SIGMA * _size_px(fit.corners)) ** 2

@@ -27,7 +27,7 @@ class Views(NamedTuple):
     corners: np.ndarray  # (n, 4, 2) projected, in the plane
     rotation: np.ndarray  # (n, 3, 3) camera from object
     translation: np.ndarray  # (n, 3) [m]
-    miss_px: np.ndarray  # (n,) RMS distance of the given corners from the projected ones
+    miss_px: np.ndarray  # (n,) RMS of what the projected corners miss of the given ones
 
     def chosen(self, which: np.ndarray) -> Views:
         """Select some."""
@@ -63,8 +63,8 @@ def views_of_face(quads: np.ndarray, face_size_m: tuple[float, float], plane: Pl
         far out of proportion are left out. The corners begin with the face's first.
 
     """
+    across, down, near = parallelograms(quads, plane)
     rays = plane.rays(quads)
-    across, down, near = _parallelograms(rays)
     # Once more beginning with the second corner.
     rays = np.concatenate([rays, rays[:, [1, 2, 3, 0]]])
     across, down, near = (np.concatenate([one, two]) for one, two in (
@@ -79,10 +79,26 @@ def views_of_face(quads: np.ndarray, face_size_m: tuple[float, float], plane: Pl
     return _refined(rays[likely], across[likely], down[likely], near[likely], face_size_m, plane)
 
 
-def _parallelograms(rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Give width, height and first corner (N, 3) of parallelograms seen along rays."""
-    first, second, third, fourth = np.concatenate(
-        [rays, np.ones((*rays.shape[:2], 1))], axis=2).transpose(1, 0, 2)
+def parallelograms(quads: np.ndarray,
+                   plane: Plane) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Find parallelograms in space that look like quadrilaterals.
+
+    Parameters
+    ----------
+    quads : (N, 4, 2) array
+        Corners in the plane.
+    plane : Plane
+        With a camera.
+
+    Returns
+    -------
+    (N, 3) array, (N, 3) array, (N, 3) array
+        The side from the first corner to the second, that from the first to the fourth,
+        and the first corner, in the camera's frame; up to one scale for each of them.
+
+    """
+    first, second, third, fourth = plane.rays_in_space(quads).transpose(1, 0, 2)
 
     def volume(one: np.ndarray, two: np.ndarray, three: np.ndarray) -> np.ndarray:
         return (np.cross(one, two) * three).sum(axis=1)[:, None]
@@ -112,7 +128,7 @@ def _refined(rays: np.ndarray, across: np.ndarray, down: np.ndarray, near: np.nd
         rotation = _turned(rotation, step[:, :3])
         centre = centre + step[:, 3:]
     seen, _ = linearise(points_m, rotation, centre)
-    miss_px = plane.focal.mean() * np.sqrt(((rays - seen) ** 2).mean(axis=(1, 2)))
+    miss_px = plane.rms_px(rays - seen)
     good = np.isfinite(miss_px) & (centre[:, 2] > 1e-3)
     return Views(plane.from_rays(seen), rotation, centre, miss_px).chosen(good)
 
@@ -145,9 +161,14 @@ def moved(views: Views, step: np.ndarray, points_m: np.ndarray, plane: Plane) ->
     """Turn and shift views of the face's corners (4, 3) by small steps (n, 6)."""
     rotation = _turned(views.rotation, step[:, :3])
     centre = views.translation + step[:, 3:]
-    points = points_m @ rotation.transpose(0, 2, 1) + centre[:, None]
-    corners = plane.from_rays(points[..., :2] / np.maximum(points[..., 2:], 1e-6))
+    corners = projected(points_m, rotation, centre, plane)
     return Views(corners, rotation, centre, views.miss_px)
+
+
+def projected(points_m: np.ndarray, rotation: np.ndarray, translation: np.ndarray,
+              plane: Plane) -> np.ndarray:
+    """Show points (p, 3) of an object in n poses, in the plane (n, p, 2)."""
+    return plane.from_space(points_m @ rotation.transpose(0, 2, 1) + translation[:, None])
 
 
 def with_mirrored(views: Views) -> Views:
