@@ -8,7 +8,7 @@ from face_views import pose
 from homography_servo.result import Rejected
 from homography_servo.simulation.scene import Scene
 from homography_servo.simulation.scene_settings import SceneSettings
-from homography_servo.tracking.detection.quads import list_quads
+from homography_servo.tracking.detection.region_quads import list_quads
 from homography_servo.tracking.finder import find_face
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.target import Target

@@ -12,7 +12,8 @@ from homography_servo.geometry.face import face_corners
 from homography_servo.result import Rejected
 from homography_servo.tracking.box import BoxSides
 from homography_servo.tracking.box import Outline
-from homography_servo.tracking.detection.quads import grey_at
+from homography_servo.tracking.detection.region_quads import grey_at
+from homography_servo.tracking.detection.side_fit import fit_with_sides
 from homography_servo.tracking.face_pose import FacePose
 from homography_servo.tracking.face_pose import pose_of_face
 from homography_servo.tracking.plane import Plane
@@ -34,7 +35,7 @@ EVEN_GREY = 12.0  # differences that a face of one colour may show
 AWAY_PX = 4.0  # distance from a side at which grey levels are compared
 STRIP_SAMPLES = np.linspace(0.15, 0.85, 7)
 NARROW_HALF = 5
-SLIVER_PX, SIDE_ROUNDS = 0.1, 2  # a miss that a narrow side of the box may cause
+SLIVER_PX = 0.1  # a miss that a narrow side of the box may cause
 WIDE = Look(1.5, 7, 3, 3, 3, 6.0, 0.5, 1.5)
 
 
@@ -44,18 +45,19 @@ def examine(image: np.ndarray, quad: np.ndarray, target: Target,
     fit = fit_snake(image, quad, WIDE, plane, None, target.polarity)
     if isinstance(fit, Rejected):
         return fit
-    if best_pose(fit.corners, target.face_size_m, plane)[1] > 2.0 + 0.03 * _size(fit.corners):
+    if _best_pose(fit.corners, target.face_size_m, plane)[1] > 2.0 + 0.03 * _size(fit.corners):
         return Rejected('the proportions are not those of the face')
     narrow = Look(target.blur_px, NARROW_HALF, iterations=3)
     fit = fit_snake(image, fit.corners, narrow, plane, None, target.polarity)
     if isinstance(fit, Rejected):
         return fit
-    pose, miss_px, turn = best_pose(fit.corners, target.face_size_m, plane)
+    pose, miss_px, turn = _best_pose(fit.corners, target.face_size_m, plane)
     allowed_px = 0.4 + (0.03 if target.guessed_lens else 0.01) * _size(fit.corners)
     if SLIVER_PX < miss_px < allowed_px and target.box_height_m > 0.0 \
             and not target.guessed_lens:
-        fit = _with_sides(image, fit, turn, target, plane)
-        pose, miss_px, turn = best_pose(fit.corners, target.face_size_m, plane)
+        fit = fit_with_sides(image, rolled(fit, turn), _box(target, plane), narrow, target, plane,
+                             lambda rigid: None)
+        pose, miss_px, turn = _best_pose(fit.corners, target.face_size_m, plane)
     quality = fit.judged
     if quality.inlier_share < 0.55 or quality.side_share.min() < 0.15:
         return Rejected('the edges do not support the quadrilateral')
@@ -74,23 +76,12 @@ def examine(image: np.ndarray, quad: np.ndarray, target: Target,
     return Found(rolled(fit, turn), float(score))
 
 
-def _with_sides(image: np.ndarray, fit: SnakeFit, turn: int, target: Target,
-                plane: Plane) -> SnakeFit:
-    """Fit again with the sides of the box, whose slivers shift the edges of the face."""
-    sides, fit = BoxSides(target.face_size_m, target.box_height_m, plane), rolled(fit, turn)
-    narrow = Look(target.blur_px, NARROW_HALF, iterations=3)
-    for _ in range(SIDE_ROUNDS):
-        sides.learn(fit.edges, fit.weight, fit.strips, NARROW_HALF)
-        again = fit_snake(image, fit.corners, narrow, plane, None, target.polarity,
-                          sides.strips(fit.corners)[0])
-        if isinstance(again, Rejected):
-            return fit
-        fit = again
-    return fit
+def _box(target: Target, plane: Plane) -> BoxSides:
+    return BoxSides(target.face_size_m, target.box_height_m, plane)
 
 
-def best_pose(quad: np.ndarray, face_size_m: tuple[float, float], plane: Plane
-              ) -> tuple[FacePose | None, float, int]:
+def _best_pose(quad: np.ndarray, face_size_m: tuple[float, float],
+               plane: Plane) -> tuple[FacePose | None, float, int]:
     """
     Fit the pose of the face to a quadrilateral in either turn.
 
@@ -134,8 +125,7 @@ def _box_evidence(image: np.ndarray, corners: np.ndarray, turn: int, target: Tar
     """Rate whether the sides of the box show where they must, 0.4 to 1."""
     if target.box_height_m <= 0.0:
         return 1.0
-    outline = BoxSides(target.face_size_m, target.box_height_m, plane).outline(
-        np.roll(corners, -turn, axis=0))
+    outline = _box(target, plane).outline(np.roll(corners, -turn, axis=0))
     if isinstance(outline, Rejected):
         return 0.4
     seen = [_strip_shows(image, np.roll(corners, -turn, axis=0), outline, side, plane)

@@ -10,13 +10,13 @@ the box behind them agree.
 from __future__ import annotations
 
 from homography_servo.result import Rejected
-from homography_servo.tracking.detection.quads import list_quads
-from homography_servo.tracking.detection.quads import side_contrast
 from homography_servo.tracking.detection.region_check import AWAY_PX
 from homography_servo.tracking.detection.region_check import CLEAR_GREY
 from homography_servo.tracking.detection.region_check import EVEN_GREY
 from homography_servo.tracking.detection.region_check import examine
 from homography_servo.tracking.detection.region_check import LEAST_SCORE
+from homography_servo.tracking.detection.region_quads import list_quads
+from homography_servo.tracking.detection.region_quads import side_contrast
 from homography_servo.tracking.detection.views import parallelograms
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.target import Found

@@ -19,6 +19,7 @@ from homography_servo.tracking.detection.box_views import box_points
 from homography_servo.tracking.detection.box_views import look_at
 from homography_servo.tracking.detection.box_views import odds
 from homography_servo.tracking.detection.outlook import Picture
+from homography_servo.tracking.detection.side_fit import fit_with_sides
 from homography_servo.tracking.detection.views import Views
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import Look
@@ -31,7 +32,7 @@ import numpy as np
 
 GUESSED_SIGMA = 0.01  # of the corners about a view through a guessed lens, by the size
 CLOSEST_PX = 2.5  # from an edge to the farthest change that supports it
-HALF, STEPS, SIDE_ROUNDS = 5, 3, 2
+HALF, STEPS = 5, 3
 LEAST_INLIERS = 0.5
 # RMS of what a view misses of free corners: of the face, and how much more of other things.
 OWN_MISS_PX, OTHER_MISS_PX = 0.1, 0.35
@@ -85,17 +86,9 @@ def _held_fit(image: np.ndarray, corners: np.ndarray, box: BoxSides, target: Tar
         return outline
     look = Look(target.blur_px, HALF, iterations=STEPS)
     fit = fit_snake(image, corners, look, plane, _held(outline.rigid, target), target.polarity)
-    for _ in range(SIDE_ROUNDS if target.box_height_m > 0.0 else 0):
-        if isinstance(fit, Rejected):
-            return fit
-        box.learn(fit.edges, fit.weight, fit.strips, HALF)
-        strips, rigid = box.strips(fit.corners)
-        if rigid is None:
-            return fit
-        again = fit_snake(image, fit.corners, look, plane, _held(rigid, target), target.polarity,
-                          strips)
-        fit = again or fit
-    return fit
+    if isinstance(fit, Rejected):
+        return fit
+    return fit_with_sides(image, fit, box, look, target, plane, lambda rigid: _held(rigid, target))
 
 
 def _held(rigid: Prior, target: Target) -> Prior:
