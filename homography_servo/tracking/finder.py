@@ -4,13 +4,13 @@ Find the face in a picture without being told where it is.
 Two searches take turns, the surest and quickest look first:
 
 1. Straight edges are put together to views of the face and compared with the picture,
-   the sides of the box behind included (`edge_search`). It knows best among other things,
-   and finds a face of which a side is hidden. The print on a face or noise may mislead it:
-   it is only believed where much speaks for the face.
+   the sides of the box behind included (`edge_search`), quickly and, if need be, once
+   more thoroughly. It knows best among other things, and finds a face of which a side is
+   hidden. The print on a face or noise may mislead it: it is believed at once only where
+   much speaks for the face.
 2. Regions of like grey level are looked through (`region_search`): a print on the face
    and noise matter little to it. It is believed where it is convinced.
-3. The edges are searched once more, thoroughly.
-4. What the regions showed is taken where the edges show nothing.
+3. What the edges showed is taken, or else what the regions did.
 
 A rectangle looks the same after half a turn. Which corner comes first is decided by
 the expected corners where they are given, else by taking the turn whose top side
@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from homography_servo.geometry.camera import Camera
 from homography_servo.result import Rejected
+from homography_servo.tracking.detection.edge_search import BELIEVED_ODDS
 from homography_servo.tracking.detection.edge_search import EdgeSearch
 from homography_servo.tracking.detection.edge_search import QUICK
 from homography_servo.tracking.detection.edge_search import THOROUGH
@@ -69,13 +70,15 @@ def find_face(image: np.ndarray, target: Target, plane: Plane,
 
 def _search(image: np.ndarray, target: Target, plane: Plane) -> Found | Rejected:
     edges = EdgeSearch(image, target, plane)
-    found = edges.best(QUICK)
-    if found:
-        return found
+    by_edges: Found | Rejected = Rejected('nobody has looked yet')
+    for effort in (QUICK, THOROUGH):
+        by_edges = edges.best(effort)
+        if not isinstance(by_edges, Rejected) and by_edges.merit > BELIEVED_ODDS:
+            return by_edges
     by_regions = find_by_regions(image, target, plane)
     if not isinstance(by_regions, Rejected) and by_regions.merit > CONVINCING:
         return by_regions
-    return edges.best(THOROUGH) or by_regions
+    return by_edges or by_regions
 
 
 def _typical_plane(shape: tuple[int, ...]) -> Plane:

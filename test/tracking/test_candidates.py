@@ -6,6 +6,7 @@ from face_views import pose
 from homography_servo.geometry.face import face_corners
 from homography_servo.simulation.scene import Scene
 from homography_servo.simulation.scene_settings import SceneSettings
+from homography_servo.tracking.detection.beside import faces_beside
 from homography_servo.tracking.detection.box_views import box_points
 from homography_servo.tracking.detection.box_views import look_at
 from homography_servo.tracking.detection.box_views import nearer
@@ -28,11 +29,13 @@ from homography_servo.tracking.detection.views import Views
 from homography_servo.tracking.detection.views import views_of_face
 from homography_servo.tracking.detection.views import with_mirrored
 from homography_servo.tracking.plane import Plane
+from homography_servo.tracking.target import Target
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 PLANE = Plane(CAMERA)
+TARGET = Target(FACE_M, 0.04, 0.15, 1.5, 0, 0.6)
 TILTED = pose(0.05, -0.03, 0.8, 30.0, -20.0, 25.0)
 
 
@@ -165,6 +168,43 @@ def test_the_box_tells_the_true_tilt_from_the_mirrored_one():
     assert true > mirrored + 2.0
     flat = look_at(picture, view(TILTED), points_m[:4], PLANE)
     assert flat.back is None and odds(flat, 4.0)[0] > 1.5
+
+
+def test_a_side_of_the_box_that_is_missing_speaks_against_the_face():
+    plate = Scene(CAMERA, FACE_M, 0.0, SceneSettings()).render(pose(tilt_x=30.0), 0.0, 0)
+    picture, points_m = smoothed(plate.image_grey), box_points(FACE_M, 0.04)
+    seen = look_at(picture, view(pose(tilt_x=30.0)), points_m, PLANE)
+    assert seen.sure.sum() == pytest.approx(1.0)
+    assert odds(seen, 4.0)[0] < -2.0
+
+
+def test_where_no_side_of_the_box_is_in_view_nothing_is_told():
+    front = Scene(CAMERA, FACE_M, 0.04, SceneSettings()).render(pose(turn=20.0), 0.0, 0)
+    picture, points_m = smoothed(front.image_grey), box_points(FACE_M, 0.04)
+    of_box, of_face = (odds(look_at(picture, view(pose(turn=20.0)), points, PLANE), 4.0)[0]
+                       for points in (points_m, points_m[:4]))
+    assert of_box == of_face > 1.5
+
+
+@pytest.mark.parametrize('tilt', [(40.0, 3.0), (-40.0, 3.0), (3.0, 40.0), (3.0, -40.0)])
+def test_the_face_follows_from_a_side_of_its_box(tilt):
+    camera_from_object = pose(0.03, 0.02, 0.8, *tilt, 25.0)
+    points_m = box_points(FACE_M, 0.04)
+    corners = projected(camera_from_object, points_m)
+    sides = [np.array([corners[(k + 1) % 4], corners[k], corners[k + 4],
+                       corners[(k + 1) % 4 + 4]]) for k in range(4)]
+    in_view = max(sides, key=signed_area)
+    for turn in range(4):
+        faces = faces_beside(np.roll(in_view, turn, axis=0), TARGET, PLANE)
+        assert nearest(faces.corners, corners[:4]) < 0.1
+    plate = TARGET._replace(box_height_m=0.0)
+    assert not len(faces_beside(in_view, plate, PLANE).corners)
+
+
+def signed_area(quad):
+    """Measure a quadrilateral that runs clockwise on the screen; else it is negative."""
+    one, two = quad[2] - quad[0], quad[3] - quad[1]
+    return one[0] * two[1] - one[1] * two[0]
 
 
 def test_rough_views_move_to_the_edges():

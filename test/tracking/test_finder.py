@@ -24,7 +24,7 @@ def random_pose(rng):
                 rng.uniform(-60, 60))
 
 
-def found_share(settings, count, plane=PLANE, seed=0):
+def found_share(settings, count, plane=PLANE, seed=0, random_pose=random_pose):
     """Look at random views; corners must come in the right order."""
     rng, found = np.random.default_rng(seed), 0
     for number in range(count):
@@ -42,6 +42,26 @@ def test_the_face_is_found_in_an_empty_world():
 
 def test_the_face_is_found_among_other_things():
     assert found_share(SceneSettings(clutter=1.0), 40) >= 0.9
+
+
+def frontal_pose(rng):
+    return pose(*rng.uniform(-0.05, 0.05, 2), rng.uniform(0.55, 1.0), *rng.uniform(-3, 3, 2),
+                rng.uniform(-60, 60))
+
+
+def test_a_face_seen_from_the_front_is_found_among_other_things():
+    assert found_share(SceneSettings(clutter=1.0), 40, seed=5, random_pose=frontal_pose) >= 0.9
+
+
+def steep_pose(rng):
+    tilt = rng.permutation([rng.uniform(45, 55) * rng.choice([-1, 1]), rng.uniform(-10, 10)])
+    return pose(*rng.uniform(-0.1, 0.1, 2), rng.uniform(0.7, 1.0), *tilt, rng.uniform(-60, 60))
+
+
+def test_a_printed_face_is_found_by_the_side_of_its_box():
+    """The side is blank and taken for the face, which the print breaks up."""
+    settings = SceneSettings(print_contrast=100.0, noise_grey=5.0)
+    assert found_share(settings, 30, seed=91, random_pose=steep_pose) >= 0.93
 
 
 def test_a_camera_nobody_calibrated_will_do():

@@ -36,9 +36,10 @@ NARROWEST_PX, WIDE_PX = 2.8, 5.0  # of a side of the box that tells nothing, and
 ROUGH_PX, NEAR_PX = 4.0, 1.0  # scatter of corners, and of places that agree
 # Logarithms of how much likelier something is with the face and its box than without:
 # that all sides of the face show, and what is lost where none does; that a side of the
-# box ends where it must, over that it does not; that it does not; that none is in view.
+# box ends where it must, over that it does not; that it does not. Where none is in view
+# nothing is told: other things look so as often.
 CLEAR_FACE, HIDDEN_FACE = 1.75, 8.0
-SEEN, UNSEEN, NOT_IN_VIEW = 5.0, 2.2, 1.0
+SEEN, UNSEEN = 9.0, 4.5
 SHOWN = 0.45  # least share of the sides that must show
 BROKEN = 0.5  # weight of changes within the face
 WEAKEST = 0.15  # weight of the side that shows least
@@ -57,6 +58,11 @@ class BoxOutlook(NamedTuple):
         back, rims = (None if part is None else part.chosen(which)
                       for part in (self.back, self.rims))
         return BoxOutlook(self.face.chosen(which), back, rims, self.sure[which])
+
+
+def only_face(face: Outlook) -> BoxOutlook:
+    """Take what the face shows for all that there is to see."""
+    return BoxOutlook(face, None, None, np.zeros(face.level.shape))
 
 
 def look_at(picture: Picture, views: Views, points_m: np.ndarray, plane: Plane,
@@ -85,20 +91,32 @@ def look_at(picture: Picture, views: Views, points_m: np.ndarray, plane: Plane,
     front = rows_across(views.corners, SHARES)
     face = look_across(picture, front, plane, inside_px, -REACH_PX, READ, UNEVEN_GREY)
     if len(points_m) == 4:
-        return BoxOutlook(face, None, None, np.zeros(face.level.shape))
+        return only_face(face)
     sides, width = _sides(views, points_m, plane)
-    rows = rows_across(sides.reshape(-1, 4, 2), SHARES)
-    rows = Rows(SHARES, rows.place[:, OUTER], rows.inward[:, OUTER])
-    first_px = np.full((*width.shape, len(OUTER)), STRIP_FROM_PX)
-    first_px[..., 0] = np.clip(np.minimum(STRIP_FROM * width, width - OFF_PX), 0.5, STRIP_FROM_PX)
-    seen = look_across(picture, rows, plane, first_px.reshape(-1, len(OUTER)), -REACH_PX, READ)
-    back, rims = (Outlook(SHARES, seen.level[:, 0].reshape(width.shape),
-                          *(part[:, own].reshape(*width.shape, len(own) * len(SHARES))
-                            for part in seen[2:])) for own in ([0], [1, 2]))
-    other = np.abs(back.level - face.level) > picture.other_grey
     sure = np.clip((width - NARROWEST_PX) / (WIDE_PX - NARROWEST_PX), 0.0, 1.0)
-    return BoxOutlook(face, back._replace(shown=back.shown & other[..., None]),
-                      rims, sure)
+    in_view = sure > 0.0
+    sides, width = sides[in_view], width[in_view]
+    rows = rows_across(sides, SHARES)
+    rows = Rows(SHARES, rows.place[:, OUTER], rows.inward[:, OUTER])
+    first_px = np.full((len(width), len(OUTER)), STRIP_FROM_PX)
+    first_px[:, 0] = np.clip(np.minimum(STRIP_FROM * width, width - OFF_PX), 0.5, STRIP_FROM_PX)
+    seen = look_across(picture, rows, plane, first_px, -REACH_PX, READ)
+    other = np.abs(seen.level[:, 0] - face.level[in_view]) > picture.other_grey
+    seen.shown[:, 0] &= other[:, None]
+    back, rims = (_spread(seen, edges, in_view) for edges in ([0], [1, 2]))
+    return BoxOutlook(face, back, rims, sure)
+
+
+def _spread(seen: Outlook, edges: list[int], in_view: np.ndarray) -> Outlook:
+    """Arrange what some edges of the sides in view (n, 4) show by views and sides."""
+    level = np.zeros(in_view.shape)
+    level[in_view] = seen.level[:, edges[0]]
+    parts = []
+    for part in seen[2:]:
+        whole = np.zeros((*in_view.shape, len(edges), len(seen.share)), part.dtype)
+        whole[in_view] = part[:, edges]
+        parts.append(whole.reshape(*in_view.shape, len(edges) * len(seen.share)))
+    return Outlook(seen.share, level, *parts)
 
 
 def _sides(views: Views, points_m: np.ndarray, plane: Plane) -> tuple[np.ndarray, np.ndarray]:
@@ -133,8 +151,7 @@ def odds(seen: BoxOutlook, close_px: float) -> np.ndarray:
     if seen.back is None or seen.rims is None:
         return told
     shows = 0.5 * (seen.back.closeness(close_px) + seen.rims.closeness(close_px))
-    told += (seen.sure * (SEEN * shows - UNSEEN)).sum(axis=1)
-    return told - NOT_IN_VIEW * np.maximum(1.0 - seen.sure.sum(axis=1), 0.0)
+    return told + (seen.sure * (SEEN * shows - UNSEEN)).sum(axis=1)
 
 
 def face_merit(face: Outlook, reach_px: float) -> np.ndarray:

@@ -15,7 +15,9 @@ from homography_servo.tracking.detection.box_views import face_merit
 from homography_servo.tracking.detection.box_views import look_at
 from homography_servo.tracking.detection.box_views import nearer
 from homography_servo.tracking.detection.box_views import odds
+from homography_servo.tracking.detection.box_views import only_face
 from homography_servo.tracking.detection.outlook import look_across
+from homography_servo.tracking.detection.outlook import Outlook
 from homography_servo.tracking.detection.outlook import Picture
 from homography_servo.tracking.detection.outlook import rows_across
 from homography_servo.tracking.detection.segments import find_pieces
@@ -24,6 +26,7 @@ from homography_servo.tracking.detection.segments import shrunk
 from homography_servo.tracking.detection.segments import straightened
 from homography_servo.tracking.detection.side_quads import find_quads
 from homography_servo.tracking.detection.sides import join_pieces
+from homography_servo.tracking.detection.sides import Sides
 from homography_servo.tracking.detection.views import Views
 from homography_servo.tracking.detection.views import views_of_face
 from homography_servo.tracking.detection.views import with_mirrored
@@ -43,11 +46,11 @@ ROUGH_SAME_PX, SAME_PX = 7.0, 4.0
 class Effort(NamedTuple):
     """How many views are looked at, at most, each time more closely."""
 
+    sides: int
     rough: int
     near: int
     fitted: int
     clear_odds: float  # those whose logarithm is lower by this than the best are left out
-    least_odds: float  # logarithm that is enough
 
 
 class Candidates(NamedTuple):
@@ -61,10 +64,19 @@ class RoughViews(NamedTuple):
     """Views of the face that straight edges allow."""
 
     views: Views
+    seen: Outlook  # across their sides
     merit: np.ndarray  # (n,) how well the sides of the face show, 0 to 1
 
 
-def rough_views(picture: Picture, target: Target, plane: Plane) -> RoughViews:
+def find_sides(picture: Picture, target: Target, plane: Plane) -> Sides:
+    """List straight edges that may be sides of the face, longest first."""
+    if min(picture.grey.shape) < LEAST_IMAGE_PX:
+        return join_pieces(NO_PIECES)
+    pieces = find_pieces(shrunk(picture.grey), target.polarity)
+    return join_pieces(straightened(pieces, plane))
+
+
+def rough_views(picture: Picture, sides: Sides, target: Target, plane: Plane) -> RoughViews:
     """
     List views of the face by their sides alone.
 
@@ -72,6 +84,8 @@ def rough_views(picture: Picture, target: Target, plane: Plane) -> RoughViews:
     ----------
     picture : Picture
         Where to look.
+    sides : Sides
+        Of these.
     target : Target
         The face and where it may be.
     plane : Plane
@@ -82,17 +96,13 @@ def rough_views(picture: Picture, target: Target, plane: Plane) -> RoughViews:
     RoughViews
 
     """
-    pieces = NO_PIECES if min(picture.grey.shape) < LEAST_IMAGE_PX \
-        else find_pieces(shrunk(picture.grey), target.polarity)
-    quads = find_quads(join_pieces(straightened(pieces, plane)), target.face_size_m, plane)
+    quads = find_quads(sides, target.face_size_m, plane)
     views = views_of_face(quads, target.face_size_m, plane,
                           (target.nearest_m, target.farthest_m))
-    size = np.linalg.norm(np.ptp(views.corners, axis=1), axis=1)
-    views = views.chosen((views.miss_px < ROUGH_MISS_PX + ROUGH_MISS * size)
-                         & in_reach(views, target))
+    views = views.chosen(roughly_fits(views) & in_reach(views, target))
     seen = look_across(picture, rows_across(views.corners, ROUGH_SHARES), plane, ROUGH_PX,
                        -ROUGH_PX, ROUGH_READ)
-    return RoughViews(views, face_merit(seen, ROUGH_PX))
+    return RoughViews(views, seen, face_merit(seen, ROUGH_PX))
 
 
 def find_candidates(picture: Picture, rough: RoughViews, target: Target, plane: Plane,
@@ -119,9 +129,9 @@ def find_candidates(picture: Picture, rough: RoughViews, target: Target, plane: 
 
     """
     points_m = box_points(target.face_size_m, target.box_height_m)
-    views = rough.views.chosen(_distinct(rough.views, rough.merit, effort.rough, ROUGH_SAME_PX))
-    seen = look_at(picture, views, points_m[:4], plane, ROUGH_PX)
-    views = nearer(views, seen, points_m[:4], plane)
+    chosen = _distinct(rough.views, rough.merit, effort.rough, ROUGH_SAME_PX)
+    views = nearer(rough.views.chosen(chosen), only_face(rough.seen.chosen(chosen)), points_m[:4],
+                   plane)
     seen = look_at(picture, views, points_m[:4], plane)
     chosen = _distinct(views, face_merit(seen.face, CLOSE_PX), effort.near)
     views = with_mirrored(views.chosen(chosen))
@@ -132,6 +142,12 @@ def find_candidates(picture: Picture, rough: RoughViews, target: Target, plane: 
     if len(best):
         best = best[told[best] >= told[best[0]] - effort.clear_odds]
     return Candidates(nearer(views.chosen(best), seen.chosen(best), points_m, plane), told[best])
+
+
+def roughly_fits(views: Views) -> np.ndarray:
+    """Tell which views miss rough corners by no more than is usual (n,)."""
+    size_px = np.linalg.norm(np.ptp(views.corners, axis=1), axis=1)
+    return views.miss_px < ROUGH_MISS_PX + ROUGH_MISS * size_px
 
 
 def in_reach(views: Views, target: Target) -> np.ndarray:

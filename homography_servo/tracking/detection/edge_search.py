@@ -3,14 +3,17 @@ Find the face by its straight edges and the box behind it.
 
 Views of the face that straight edges allow are ranked by the grey levels along their
 sides and on the sides of the box behind; the best are fitted like in tracking and
-weighed again.
+weighed again. What is not surely the face may be a side of its box: the face beside it is
+looked for as well.
 """
 
 from __future__ import annotations
 
 from homography_servo.result import Rejected
+from homography_servo.tracking.detection.beside import find_beside
 from homography_servo.tracking.detection.candidates import Effort
 from homography_servo.tracking.detection.candidates import find_candidates
+from homography_servo.tracking.detection.candidates import find_sides
 from homography_servo.tracking.detection.candidates import rough_views
 from homography_servo.tracking.detection.outlook import smoothed
 from homography_servo.tracking.detection.view_check import check_view
@@ -20,9 +23,11 @@ from homography_servo.tracking.target import Target
 import numpy as np
 
 APART_ODDS = 0.4  # by which the logarithm must be better than that of the next best one
-BELIEVED_ODDS = 3.0  # logarithm: 20 to 1 for the face
-QUICK = Effort(20, 8, 4, 1.5, BELIEVED_ODDS)  # mostly suffices
-THOROUGH = Effort(32, 14, 6, 1.5, BELIEVED_ODDS)
+# Logarithms: 150 to 1 for the face, which it is; 30 to 1, better than other searches;
+# 4 to 1, better than nothing.
+SURE_ODDS, BELIEVED_ODDS, LEAST_ODDS = 5.0, 3.5, 1.5
+QUICK = Effort(150, 12, 6, 3, 2.5)  # mostly suffices
+THOROUGH = Effort(1000, 32, 14, 6, 2.5)
 ELSEWHERE_PX = 10.0  # from the middle of the best one to that of another thing
 
 
@@ -44,23 +49,48 @@ class EdgeSearch:
     def __init__(self, image: np.ndarray, target: Target, plane: Plane) -> None:
         self._target, self._plane = target, plane
         self._picture = smoothed(image)
-        self._rough = rough_views(self._picture, target, plane)
+        self._sides = find_sides(self._picture, target, plane)
+        self._checked: dict[bytes, Found | Rejected] = {}
+        self._beside: dict[bytes, Found | Rejected] = {}
 
     def best(self, effort: Effort) -> Found | Rejected:
-        """Find the view of the face for which most speaks."""
-        candidates = find_candidates(self._picture, self._rough, self._target, self._plane,
-                                     effort)
-        checked = [check_view(self._picture, corners, self._target, self._plane)
-                   for corners in candidates.views.corners]
-        return _best([found for found in checked if not isinstance(found, Rejected)], effort)
+        """Find the view of the face for which most speaks; its merit is a logarithm of odds."""
+        sides = self._sides.chosen(slice(effort.sides))
+        rough = rough_views(self._picture, sides, self._target, self._plane)
+        candidates = find_candidates(self._picture, rough, self._target, self._plane, effort)
+        checked = [self._check(corners) for corners in candidates.views.corners]
+        found = [one for one in checked if not isinstance(one, Rejected)]
+        best = _best(found)
+        if not isinstance(best, Rejected) and best.merit > SURE_ODDS:
+            return best
+        for side in found:
+            beside = self._find_beside(side.fit.corners)
+            if not isinstance(beside, Rejected):
+                return beside._replace(merit=SURE_ODDS)  # face and side agree
+        return best
+
+    def _check(self, corners: np.ndarray) -> Found | Rejected:
+        """Check a candidate, once."""
+        key = corners.tobytes()
+        if key not in self._checked:
+            self._checked[key] = check_view(self._picture, corners, self._target, self._plane)
+        return self._checked[key]
+
+    def _find_beside(self, corners: np.ndarray) -> Found | Rejected:
+        """Look for the face of which something else is a side of the box, once."""
+        key = corners.tobytes()
+        if key not in self._beside:
+            self._beside[key] = find_beside(self._picture.grey, corners, self._target,
+                                            self._plane)
+        return self._beside[key]
 
 
-def _best(found: list[Found], effort: Effort) -> Found | Rejected:
+def _best(found: list[Found]) -> Found | Rejected:
     """Choose the one for which most speaks; nothing else may look like the face as well."""
     if not found:
         return Rejected('the edges do not support any view of the face')
     best = max(found, key=lambda one: one.merit)
-    if best.merit < effort.least_odds:
+    if best.merit < LEAST_ODDS:
         return Rejected('the best quadrilateral does not look like the face and its box')
     if any(one.merit > best.merit - APART_ODDS and _apart(one, best) > ELSEWHERE_PX
            for one in found):

@@ -36,7 +36,7 @@ class Pieces(NamedTuple):
     length: np.ndarray  # (N,) [px]
     level: np.ndarray  # (N,) mean grey level inside
 
-    def chosen(self, which: np.ndarray) -> Pieces:
+    def chosen(self, which: np.ndarray | slice) -> Pieces:
         """Select some."""
         return Pieces(*(part[which] for part in self))
 

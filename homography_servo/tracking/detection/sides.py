@@ -22,7 +22,7 @@ class Sides(NamedTuple):
     pieces: Pieces  # from the first to the last visible point
     seen: np.ndarray  # (N,) length that is visible [px]
 
-    def chosen(self, which: np.ndarray) -> Sides:
+    def chosen(self, which: np.ndarray | slice) -> Sides:
         """Select some."""
         return Sides(self.pieces.chosen(which), self.seen[which])
 

@@ -15,7 +15,7 @@ from homography_servo.tracking.plane import Plane
 import numpy as np
 
 STEPS = 2
-MOST_SKEW, MOST_STRETCH = 0.6, 0.6  # of rough corners: cosine, log of the aspect
+MOST_SKEW, MOST_STRETCH = 0.45, 0.45  # of rough corners: cosine, log of the aspect
 MOST_DEEPER = 1.3  # than a rough parallelogram is the rectangle that fits best
 DAMPING = 1e-6  # keeps the step of a degenerate view finite
 MOST_TURN_RAD = 0.5  # in one step
