@@ -29,7 +29,6 @@ from homography_servo.nodes.kit import OK
 from homography_servo.nodes.kit import WARN
 from homography_servo.nodes.parameters import Parameters
 from homography_servo.nodes.run import run_node
-from homography_servo.nodes.scheduling import SchedulingSettings
 from homography_servo.places import load_named
 from homography_servo.result import Rejected
 from homography_servo.robot.robot_file import load_robot
@@ -96,14 +95,13 @@ class CameraSim(NodeKit, Node):
     """
 
     NAME = 'camera_sim'
-    SETTINGS = (CameraSimSettings, ArmErrors, SceneSettings, SchedulingSettings)
+    SETTINGS = (CameraSimSettings, ArmErrors, SceneSettings)
     CARRIES_IMAGES = True
     EXAMPLE = 'ros2 run homography_servo camera_sim --ros-args -p noise_grey:=5.0'
 
     def __init__(self, **kwargs) -> None:
         super().__init__(self.NAME, **kwargs)
         self._settings = Parameters(self, *self.SETTINGS)
-        self.realtime_priority = self._settings[SchedulingSettings].realtime_priority
         settings = self._settings[CameraSimSettings]
         self._arm = TrueArm(load_named(load_robot, settings.robot_file, self.NAME, 'robot_file'))
         self._camera = load_named(load_camera, settings.camera_file, self.NAME, 'camera_file')

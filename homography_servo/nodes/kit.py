@@ -61,8 +61,7 @@ class NodeKit:
     Mixed into a node class; call `start_kit` at the end of ``__init__``.
 
     A subclass sets ``NAME``, ``SETTINGS`` (settings classes) and ``EXAMPLE``, maybe
-    ``CARRIES_IMAGES`` and ``realtime_priority``, and may override `diagnose`, `on_fault`,
-    `on_signal` and `close`.
+    ``CARRIES_IMAGES``, and may override `diagnose`, `on_fault`, `on_signal` and `close`.
     """
 
     NAME = ''
@@ -70,8 +69,6 @@ class NodeKit:
     SETTINGS: tuple = ()
     exit_code: int | None = None
     local: LocalTopics | None = None  # shared with other nodes of the same process
-    realtime_priority = 0  # asked for by the process that runs the node
-    scheduling = ''  # what came of that
 
     @functools.cached_property
     def counts(self) -> Counter:
@@ -186,9 +183,8 @@ class NodeKit:
         message.header.stamp = self.get_clock().now().to_msg()
         counted = Health('counters', WARN if self.counts['internal_errors'] else OK,
                          'counts since start', dict(self.counts))
-        process = [Health('process', OK, self.scheduling)] if self.scheduling else []
         message.status = [status_msg(self.get_name(), item)
-                          for item in [*self.diagnose(), *process, counted]]
+                          for item in [*self.diagnose(), counted]]
         self._diagnostics.publish(message)
 
 

@@ -35,7 +35,6 @@ from homography_servo.nodes.path_markers import marker_array
 from homography_servo.nodes.path_messages import predicted_trajectory_msg
 from homography_servo.nodes.path_messages import verdict_msg
 from homography_servo.nodes.run import run_node
-from homography_servo.nodes.scheduling import SchedulingSettings
 from homography_servo.nodes.transforms import camera_frames
 from homography_servo.nodes.transforms import Frame
 from homography_servo.nodes.transforms import Transforms
@@ -79,13 +78,12 @@ class PathPlanner(NodeKit, Node):
     """Measure the object's pose, and plan, check and show paths to a goal."""
 
     NAME = 'path_planner'
-    SETTINGS = (PathPlannerSettings, PlannerSettings, ObserverSettings, SchedulingSettings)
+    SETTINGS = (PathPlannerSettings, PlannerSettings, ObserverSettings)
     EXAMPLE = 'ros2 run homography_servo path_planner --ros-args -p poses:=31'
 
     def __init__(self, **kwargs) -> None:
         super().__init__(self.NAME, **kwargs)
         self._settings = Parameters(self, *self.SETTINGS)
-        self.realtime_priority = self._settings[SchedulingSettings].realtime_priority
         self._settings.on_change(self._on_parameters)
         files = self._settings[PathPlannerSettings]
         self._robot = load_named(load_robot, files.robot_file, self.NAME, 'robot_file') \

@@ -22,7 +22,6 @@ from homography_servo.nodes.kit import OK
 from homography_servo.nodes.kit import WARN
 from homography_servo.nodes.parameters import Parameters
 from homography_servo.nodes.run import run_node
-from homography_servo.nodes.scheduling import BridgeScheduling
 from homography_servo.nodes.transforms import fixed_frames
 from homography_servo.nodes.transforms import Transforms
 from homography_servo.places import load_named
@@ -75,13 +74,12 @@ class RobixBridge(NodeKit, LifecycleNode):
     """
 
     NAME = 'robix_bridge'
-    SETTINGS = (BridgeSettings, PortSettings, DriverSettings, TrajectorySettings, BridgeScheduling)
+    SETTINGS = (BridgeSettings, PortSettings, DriverSettings, TrajectorySettings)
     EXAMPLE = 'ros2 run homography_servo robix_bridge --ros-args -p port:=/dev/ttyUSB0'
 
     def __init__(self, **kwargs) -> None:
         super().__init__(self.NAME, **kwargs)
         self._settings = Parameters(self, *self.SETTINGS)
-        self.realtime_priority = self._settings[BridgeScheduling].realtime_priority
         self._robot = load_named(load_robot, self._settings[BridgeSettings].robot_file,
                                  self.NAME, 'robot_file')
         self._arm: Arm | None = None

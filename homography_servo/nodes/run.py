@@ -25,7 +25,6 @@ from homography_servo.nodes.executor import PromptExecutor
 from homography_servo.nodes.help import help_text
 from homography_servo.nodes.local_topics import heard_twice
 from homography_servo.nodes.local_topics import LocalTopics
-from homography_servo.nodes.scheduling import run_first
 from homography_servo.places import find_config
 import rclpy
 from rclpy.exceptions import InvalidParameterException
@@ -168,9 +167,7 @@ def _run(node_types: Sequence[type], watch: SignalWatch) -> int:
         return _say(error, EXIT_FAILED)
     gc.collect()
     gc.freeze()  # what lives as long as the node is not looked at again: 20 ms each time
-    scheduling = run_first(max(node.realtime_priority for node in nodes))
     for node in nodes:
-        node.scheduling = scheduling
         watch.on_stop(node.on_signal)
         node.on_finish = executor.wake
     watch.on_stop(executor.wake)

@@ -28,7 +28,6 @@ from homography_servo.nodes.pace import Pace
 from homography_servo.nodes.parameters import Parameters
 from homography_servo.nodes.progress import progress_from_msg
 from homography_servo.nodes.run import run_node
-from homography_servo.nodes.scheduling import SchedulingSettings
 from homography_servo.result import Rejected
 from homography_servo.settings import flag
 from homography_servo.settings import real
@@ -75,7 +74,7 @@ class SnakeTracker(NodeKit, Node):
     """Follow the face of the object through the images of a camera."""
 
     NAME = 'snake_tracker'
-    SETTINGS = (SnakeTrackerSettings, TrackerSettings, SchedulingSettings)
+    SETTINGS = (SnakeTrackerSettings, TrackerSettings)
     CARRIES_IMAGES = True
     EXAMPLE = ('ros2 run homography_servo snake_tracker --ros-args -r image:=camera/image_raw '
                '-p face_size_m:="[0.10, 0.06]"')
@@ -83,7 +82,6 @@ class SnakeTracker(NodeKit, Node):
     def __init__(self, **kwargs) -> None:
         super().__init__(self.NAME, **kwargs)
         self._settings = Parameters(self, *self.SETTINGS)
-        self.realtime_priority = self._settings[SchedulingSettings].realtime_priority
         self._settings.on_change(self._on_parameters)
         own = self._settings[SnakeTrackerSettings]
         self._tracker = Tracker(own.face_size_m or (0.10, 0.06), self._settings[TrackerSettings],

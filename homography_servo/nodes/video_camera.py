@@ -23,7 +23,6 @@ from homography_servo.nodes.run import EXIT_FAILED
 from homography_servo.nodes.run import EXIT_HARDWARE
 from homography_servo.nodes.run import EXIT_OK
 from homography_servo.nodes.run import run_node
-from homography_servo.nodes.scheduling import SchedulingSettings
 from homography_servo.places import load_named
 from homography_servo.settings import flag
 from homography_servo.settings import real
@@ -66,14 +65,13 @@ class VideoCamera(NodeKit, Node):
     """Publish a webcam or a video file as a camera."""
 
     NAME = 'video_camera'
-    SETTINGS = (VideoCameraSettings, SchedulingSettings)
+    SETTINGS = (VideoCameraSettings,)
     CARRIES_IMAGES = True
     EXAMPLE = 'ros2 run homography_servo video_camera --ros-args -p source:=box.mp4 -p loop:=true'
 
     def __init__(self, **kwargs) -> None:
         super().__init__(self.NAME, **kwargs)
         self._settings = Parameters(self, *self.SETTINGS)
-        self.realtime_priority = self._settings[SchedulingSettings].realtime_priority
         settings = self._settings[VideoCameraSettings]
         self._device = _device_number(settings.source) is not None
         self._camera = load_named(load_camera, settings.camera_file, self.NAME, 'camera_file') \

@@ -32,7 +32,6 @@ from homography_servo.nodes.pace import Pace
 from homography_servo.nodes.parameters import Parameters
 from homography_servo.nodes.progress import progress_msg
 from homography_servo.nodes.run import run_node
-from homography_servo.nodes.scheduling import SchedulingSettings
 from homography_servo.places import load_named
 from homography_servo.planning.calibration import calibration_poses
 from homography_servo.planning.calibration import CalibrationPoseSettings
@@ -82,13 +81,12 @@ class VisualServo(NodeKit, Node):
 
     NAME = 'visual_servo'
     SETTINGS = (VisualServoSettings, ServoSettings, CalibrationRunSettings,
-                CalibrationPoseSettings, CalibrationSettings, SchedulingSettings)
+                CalibrationPoseSettings, CalibrationSettings)
     EXAMPLE = 'ros2 run homography_servo visual_servo --ros-args -p mode:=continuous'
 
     def __init__(self, **kwargs) -> None:
         super().__init__(self.NAME, **kwargs)
         self._settings = Parameters(self, *self.SETTINGS)
-        self.realtime_priority = self._settings[SchedulingSettings].realtime_priority
         self._settings.on_change(self._on_parameters)
         self._robot = load_named(load_robot, self._settings[VisualServoSettings].robot_file,
                                  self.NAME, 'robot_file')

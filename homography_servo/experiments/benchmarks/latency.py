@@ -23,14 +23,11 @@ from homography_servo.experiments.servo_trial import prepare
 from homography_servo.experiments.servo_trial import servo
 from homography_servo.experiments.servo_trial import START_DEG
 from homography_servo.nodes.latency_probe import LatencyProbe
-from homography_servo.nodes.scheduling import run_as_others
-from homography_servo.nodes.scheduling import run_first
 from homography_servo.nodes.trial_client import TrialClient
 import numpy as np
 
 RATES_HZ = (30.0, 60.0, 120.0)
 POSE_AFTER_S = 0.003  # less than the period of the images
-PROBE_PRIORITY = 70  # what comes is to be timed when it comes, not when there is time
 # By the client; the probe hears what is timed, once.
 NOT_HEARD = ('image', 'camera_info', 'object/corners', 'object/contour', 'object/true_pose')
 TICKS_PER_S = os.sysconf('SC_CLK_TCK')
@@ -95,7 +92,6 @@ def measure(rate_hz: float, poses: int, folder: Path, one_process: bool) -> dict
         sentence = prepare(client, options)
         client.stop_hearing(*NOT_HEARD)
         pids = node_pids(bringup.process.pid)
-        scheduling = run_first(PROBE_PRIORITY)
         before = {name: cpu_s(pid) for name, pid in pids.items()}
         began_s, probe.recording = time.monotonic(), True
         ending = servo(client, sentence, 120.0)
@@ -104,11 +100,10 @@ def measure(rate_hz: float, poses: int, folder: Path, one_process: bool) -> dict
                  for name, pid in pids.items()}
         memory = {f'{name}_memory_mb': memory_mb(pid) for name, pid in pids.items()}
     finally:
-        run_as_others()
         client.close()
         bringup.end()
     return {'method': 'one process' if one_process else 'a process each',
-            'case': f'{rate_hz:.0f} Hz', 'scheduling': scheduling,
+            'case': f'{rate_hz:.0f} Hz',
             'converged_share': float(ending.startswith('converged')),
             **_quantiles('image_hop', probe.ages_s['image_hop']),
             **_quantiles('stamp_to_corners', probe.ages_s['corners']),
