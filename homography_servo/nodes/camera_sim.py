@@ -52,7 +52,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 SEND_PERIOD_S = 0.002  # how often delayed pictures are looked at
-RENDER_AHEAD_S = 0.004  # a picture is begun this long before the moment that it shows
+# A picture is begun this long before the moment that it shows: soon after the last one, when
+# nobody else works on an image yet.
+RENDER_AHEAD_S, RENDER_AHEAD_SHARE = 0.0065, 0.8  # at most, and of the time between two
 SHORTEST_S = 1e-4  # between two moments of exposure
 MOST_WAITING = 2000
 
@@ -108,6 +110,7 @@ class CameraSim(NodeKit, Node):
         problem = self._settings[ArmErrors].problem_with(self._arm.robot)
         if problem:
             raise ConfigError(self.NAME, 0, '', problem)
+        self._ahead_s = min(RENDER_AHEAD_S, RENDER_AHEAD_SHARE / settings.rate_hz)
         self._index, self._began_s, self._last_moment_s = 0, time.monotonic(), 0.0
         self._waiting: deque[Shot] = deque(maxlen=MOST_WAITING)
         self._sender = None
@@ -167,7 +170,7 @@ class CameraSim(NodeKit, Node):
         """Freeze a moment a little ahead; its picture is rendered just before it is sent."""
         settings = self._settings[CameraSimSettings]
         now, now_s = self.get_clock().now(), time.monotonic()
-        moment_s = max(self._arm.known_until(now_s + RENDER_AHEAD_S),
+        moment_s = max(self._arm.known_until(now_s + self._ahead_s),
                        self._last_moment_s + SHORTEST_S)
         self._last_moment_s = moment_s
         stamp = (now + Duration(seconds=moment_s - now_s)).to_msg()
@@ -180,7 +183,7 @@ class CameraSim(NodeKit, Node):
         self._send_due()
 
     def _send_due(self) -> None:
-        while self._waiting and self._waiting[0].due_s <= time.monotonic() + RENDER_AHEAD_S:
+        while self._waiting and self._waiting[0].due_s <= time.monotonic() + self._ahead_s:
             self._send(self._waiting.popleft())
 
     def _send(self, shot: Shot) -> None:
