@@ -150,5 +150,6 @@ def _from_homography(points_m: np.ndarray, rays: np.ndarray) -> FacePose | Rejec
         return Rejected('the corners lie on a line')
     middle, apart = middle / math.sqrt(2.0 * both), apart / math.sqrt(2.0 * between)
     right, down = (math.copysign(1.0, scale) * (middle + side * apart) for side in (1.0, -1.0))
-    rotation = np.column_stack([right, down, np.cross(right, down)])
+    (a, b, c), (d, e, f) = right.tolist(), down.tolist()
+    rotation = np.array([[a, d, b * f - c * e], [b, e, c * d - a * f], [c, f, a * e - b * d]])
     return FacePose(rotation, scale * centre, np.zeros((4, 2)))

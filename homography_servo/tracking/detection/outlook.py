@@ -70,8 +70,8 @@ class Outlook(NamedTuple):
 
 def smoothed(image: np.ndarray) -> Picture:
     """Smooth a picture, and tell by how much its pixels differ that noise cannot explain."""
-    part = image[::NOISE_ROWS].astype(np.int16)
-    noise = float(np.median(np.abs(part[:, 1:] - part[:, :-1]))) / DIFFERENCE_MEDIAN \
+    part = image[::NOISE_ROWS]
+    noise = _median_grey(cv2.absdiff(part[:, 1:], part[:, :-1])) / DIFFERENCE_MEDIAN \
         if image.shape[1] > 1 else 0.0
     size, left = STRONGLY_SMOOTHED if noise > NOISY_GREY else SMOOTHED
     return Picture(image, cv2.GaussianBlur(image, (size, size), 0),
@@ -107,9 +107,8 @@ def look_across(picture: Picture, rows: Rows, plane: Plane, first_px: float | np
     """
     first_px = np.broadcast_to(first_px, rows.place.shape[:2])
     step_px = (first_px - last_px)[:, :, None] / (count - 1)
-    begin, end = (np.nan_to_num(plane.to_image(rows.place + depth_px * rows.inward).astype(
-        np.float32), posinf=-1.0, nan=-1.0, neginf=-1.0)  # outside, where no lens shows it
-        for depth_px in (first_px[:, :, None, None], last_px))
+    begin, end = (_finite(plane.to_image(rows.place + depth_px * rows.inward).astype(np.float32))
+                  for depth_px in (first_px[:, :, None, None], last_px))
     way = end - begin
     share = np.linspace(0.0, 1.0, count, dtype=np.float32)
     u, v = (begin[..., axis, None] + share * way[..., axis, None] for axis in (0, 1))
@@ -128,6 +127,11 @@ def look_across(picture: Picture, rows: Rows, plane: Plane, first_px: float | np
     return Outlook(rows.share, level, inward, shown | uneven)
 
 
+def _finite(places: np.ndarray) -> np.ndarray:
+    """Put places that no lens shows outside the picture."""
+    return np.where(np.isfinite(places), places, np.float32(-1.0))
+
+
 def _middle(grey: np.ndarray, start: np.ndarray, change: np.ndarray,
             own: np.ndarray, start_grey: float) -> np.ndarray:
     """
@@ -136,19 +140,15 @@ def _middle(grey: np.ndarray, start: np.ndarray, change: np.ndarray,
     It lasts as long as the level goes on changing the same way at a similar pace, so
     that a sliver of something else beside the edge does not shift it.
     """
-    last, flat = grey.shape[-1] - 1, grey.ravel()
-    read = [flat.take(start + np.minimum(np.maximum(change + more, 0), last))
-            for more in range(-1, LONGEST)]
-    sign = np.where(read[1] > own, 1.0, -1.0).astype(np.float32)
-    steepest = total = np.maximum(sign * (read[1] - read[0]), 0.0)
-    moment, lasting = np.zeros_like(total), np.ones(total.shape, bool)
-    for more in range(1, LONGEST):
-        step = sign * (read[more + 1] - read[more])
-        lasting &= (step > PACE * steepest) | (total < start_grey)
-        step = np.where(lasting, np.maximum(step, 0.0), 0.0)
-        steepest, total = np.maximum(steepest, step), total + step
-        moment += more * step
-    return moment / np.maximum(total, 1e-6)
+    last = grey.shape[-1] - 1
+    along = np.arange(-1, LONGEST).reshape(-1, *[1] * change.ndim)
+    read = grey.ravel().take(start + np.minimum(np.maximum(change + along, 0), last))
+    step = np.where(read[1] > own, np.float32(1.0), np.float32(-1.0)) * (read[1:] - read[:-1])
+    rise = np.maximum(step, 0.0)
+    steepest, total = np.maximum.accumulate(rise), np.add.accumulate(rise)
+    lasting = (step[1:] > PACE * steepest[:-1]) | (total[:-1] < start_grey)
+    rise[1:] *= np.logical_and.accumulate(lasting)
+    return (along[1:].astype(np.float32) * rise).sum(axis=0) / np.maximum(rise.sum(axis=0), 1e-6)
 
 
 def rows_across(corners: np.ndarray, share: np.ndarray) -> Rows:
@@ -176,6 +176,12 @@ def median(values: np.ndarray) -> np.ndarray:
     """Give the upper median along the last axis, quickly."""
     half = values.shape[-1] // 2
     return np.partition(values, half, axis=-1)[..., half]
+
+
+def _median_grey(grey: np.ndarray) -> float:
+    """Give the median of many grey levels: counting them is quicker than sorting."""
+    up_to = np.add.accumulate(np.bincount(grey.ravel()))
+    return 0.5 * float(up_to.searchsorted([(grey.size - 1) // 2, grey.size // 2], 'right').sum())
 
 
 def _read(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

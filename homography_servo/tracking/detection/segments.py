@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 
 SMALLER_BY = 2  # the picture is searched at this fraction of its size
 CANNY_GREY = (12, 30)  # noise of 3 grey levels gives gradients of 3 at this size
-SECTORS = 8
+SECTORS = 8  # a power of two
 INSIDE_PX = 2.5  # from the edge to where the level inside is read
 EVEN_GREY = 8.0  # neighbouring levels that are alike in the small smooth picture
 LEAST_PIXELS = 4  # of a region
@@ -139,11 +139,11 @@ def _regions(pixels: _Pixels, first: np.ndarray, second: np.ndarray) -> np.ndarr
     first, second = first[even], second[even]
     links = []
     for turn in (0.0, 0.5):
-        sector = np.floor(angle + turn).astype(np.int32) % SECTORS
+        sector = np.floor(angle + turn).astype(np.int32) & (SECTORS - 1)
         alike = sector.take(first) == sector.take(second)
         links.append((first[alike], second[alike]))
-    begin, end = (np.concatenate([one, two + count]) for one, two in zip(*links))
-    graph = csr_array((np.ones(len(begin), np.int8), (begin, end)), shape=(2 * count, 2 * count))
+    begin, end = (np.concatenate([one, two + count], dtype=np.int32) for one, two in zip(*links))
+    graph = csr_array((np.ones(len(begin)), (begin, end)), shape=(2 * count, 2 * count))
     label = connected_components(graph, directed=False)[1]
     sizes = np.bincount(label).take(label).reshape(2, count)
     second_wins = sizes[1] > sizes[0]

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from homography_servo.tracking.detection.sides import matches
 from homography_servo.tracking.detection.sides import Sides
+from homography_servo.tracking.detection.views import cross
 from homography_servo.tracking.detection.views import unit
 from homography_servo.tracking.plane import Plane
 import numpy as np
@@ -142,7 +143,7 @@ def quads_of_three(sides: Sides, corners: Corners, threes: Threes,
         + pieces.length[after, None] * pieces.direction[after]
     across, down, first = _turned_rectangle(plane, near, far, pieces.direction[before],
                                             pieces.direction[after])
-    normal = np.cross(across, down)
+    normal = cross(across, down)
     height = (normal * first).sum(axis=1)[:, None]
     reach = np.linalg.norm(across, axis=1)[:, None]
     proportion = face_size_m[1] / face_size_m[0]
@@ -176,11 +177,11 @@ def _turned_rectangle(plane: Plane, near: np.ndarray, far: np.ndarray, into: np.
 
     """
     near_ray, far_ray = plane.rays_in_space(near), plane.rays_in_space(far)
-    line = np.cross(near_ray, plane.rays_in_space(near - into))
-    down = unit(np.cross(line, np.cross(far_ray, plane.rays_in_space(far + out))))
-    down *= np.where((np.cross(line, near_ray) * down).sum(axis=1) > 0.0, 1.0, -1.0)[:, None]
-    level = unit(np.cross(np.cross(near_ray, far_ray), down))
-    normal = np.cross(level, down)
+    line = cross(near_ray, plane.rays_in_space(near - into))
+    down = unit(cross(line, cross(far_ray, plane.rays_in_space(far + out))))
+    down *= np.where((cross(line, near_ray) * down).sum(axis=1) > 0.0, 1.0, -1.0)[:, None]
+    level = unit(cross(cross(near_ray, far_ray), down))
+    normal = cross(level, down)
     depth = [1.0 / ((normal * ray).sum(axis=1)[:, None] + 1e-12) for ray in (near_ray, far_ray)]
     first = near_ray
     return far_ray * depth[1] / depth[0] - first, down, first

@@ -101,7 +101,7 @@ def parallelograms(quads: np.ndarray,
     first, second, third, fourth = plane.rays_in_space(quads).transpose(1, 0, 2)
 
     def volume(one: np.ndarray, two: np.ndarray, three: np.ndarray) -> np.ndarray:
-        return (np.cross(one, two) * three).sum(axis=1)[:, None]
+        return (cross(one, two) * three).sum(axis=1)[:, None]
 
     near = volume(second, third, fourth) * first
     across = volume(first, third, fourth) * second - near
@@ -114,12 +114,12 @@ def _refined(rays: np.ndarray, across: np.ndarray, down: np.ndarray, near: np.nd
     """Begin with parallelograms and fit rectangles."""
     points_m = face_corners(*face_size_m)
     scale = np.sqrt(face_size_m[0] * face_size_m[1]
-                    / (np.linalg.norm(np.cross(across, down), axis=1) + 1e-30))[:, None]
+                    / (np.linalg.norm(cross(across, down), axis=1) + 1e-30))[:, None]
     centre = scale * (near + 0.5 * (across + down))
     right, below = unit(across), unit(down)
     middle, apart = (unit(way) * np.sqrt(0.5) for way in (right + below, right - below))
     right, below = middle + apart, middle - apart
-    rotation = np.stack([right, below, np.cross(right, below)], axis=2)
+    rotation = np.stack([right, below, cross(right, below)], axis=2)
     for _ in range(STEPS):
         seen, slope = linearise(points_m, rotation, centre)
         across_slope = slope.transpose(0, 2, 1)
@@ -180,7 +180,7 @@ def with_mirrored(views: Views) -> Views:
     sight = unit(views.translation)[:, :, None]
     right, below = (views.rotation[:, :, :2] - 2.0 * sight * (
         sight.transpose(0, 2, 1) @ views.rotation[:, :, :2])).transpose(2, 0, 1)
-    mirrored = views._replace(rotation=np.stack([right, below, np.cross(right, below)], axis=2))
+    mirrored = views._replace(rotation=np.stack([right, below, cross(right, below)], axis=2))
     return Views(*(np.concatenate(part) for part in zip(views, mirrored)))
 
 
@@ -190,10 +190,19 @@ def _turned(rotation: np.ndarray, small: np.ndarray) -> np.ndarray:
     square = (half ** 2).sum(axis=1)[:, None, None]
     x, y, z = half.T
     zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-    turn = ((1.0 - square) * np.eye(3) + 2.0 * cross
+    skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+    turn = ((1.0 - square) * np.eye(3) + 2.0 * skew
             + 2.0 * half[:, :, None] * half[:, None, :]) / (1.0 + square)
     return turn @ rotation
+
+
+def cross(one: np.ndarray, two: np.ndarray) -> np.ndarray:
+    """Multiply vectors (..., 3); for few of them much quicker than numpy's own."""
+    product = np.empty(np.broadcast_shapes(one.shape, two.shape))
+    x, y, z = (product[..., axis] for axis in range(3))
+    (a, b, c), (d, e, f) = ((way[..., 0], way[..., 1], way[..., 2]) for way in (one, two))
+    x[...], y[...], z[...] = b * f - c * e, c * d - a * f, a * e - b * d
+    return product
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
