@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from statistics import median
 
 from homography_servo.tracking.edges import line_distances
 from homography_servo.tracking.edges import measure_edges
@@ -97,8 +98,8 @@ def first_focus(scan: Scan, corners: np.ndarray) -> float:
     """Choose the blur that explains the pixels best, without a guess."""
     @lru_cache(maxsize=None)
     def cost(number: int) -> float:
-        return float(np.median(measure_edges(scan, corners,
-                                             edge_profile(LADDER_PX[number])).residual))
+        edges = measure_edges(scan, corners, edge_profile(LADDER_PX[number]))
+        return median(edges.residual.tolist())
 
     best = 1
     while best < len(LADDER_PX) - 2 and cost(best + 1) < cost(best):

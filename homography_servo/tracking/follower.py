@@ -37,6 +37,7 @@ CLEAR_SIDE = 0.9  # share of its lines that makes a side clear
 SELDOM = 4  # one picture in so many bears what need not be done in each
 REFOCUS_EVERY, REFOCUS_FIRST, KEY_EVERY = 3 * SELDOM, 10, 3 * SELDOM  # pictures
 MOST_ROUNDS = 6  # of a first fit, until it is sure
+STEADY_PX = 0.03  # a round that moves it by less is the last: the next hardly does
 ROUND_PX = 8  # sides of a face that is followed are cut to a multiple of this
 DONE_SIGMAS = 20.0  # a step leaves about 1/20 of itself: less than what noise moves
 
@@ -168,9 +169,14 @@ class Follower:
             if isinstance(again, Rejected):
                 return again
             begun = (again.strips is None) != (fit.strips is None)  # to look at the sides
-            fit = again
+            steady = float(np.abs(again.corners - fit.corners).max()) < STEADY_PX
+            before, fit = fit, again
             if not begun and not weak_support(fit, self.settings):
                 break
+        if steady:
+            done = self._trusted(image, fit, shape_prior(before.corners, GIVEN_SHAPE_SIGMA_PX))
+            if done:
+                return done
         self._learn_sides(fit)
         return self._fine(image, shape_prior(fit.corners, GIVEN_SHAPE_SIGMA_PX))
 
@@ -218,8 +224,10 @@ class Follower:
     def _fine(self, image: np.ndarray, prior: Prior) -> SnakeFit | Rejected:
         """Fit to all pixels of the edges, and doubt what comes out."""
         fit = self._sharp(image, prior)
-        if isinstance(fit, Rejected):
-            return fit
+        return fit if isinstance(fit, Rejected) else self._trusted(image, fit, prior)
+
+    def _trusted(self, image: np.ndarray, fit: SnakeFit, prior: Prior) -> SnakeFit | Rejected:
+        """Doubt a fit that was found with a prior."""
         settings, following = self.settings, self.following
         doubt = weak_support(fit, settings) or surprise(fit, prior, settings, following)
         if not doubt and (min(fit.judged.side_share.tolist()) <= CLEAR_SIDE
