@@ -202,7 +202,9 @@ def experiment(client: TrialClient, options: argparse.Namespace) -> None:
     try:
         ending = servo(client, prepare(client, options), options.timeout)
         if ending.startswith('converged'):
-            client.wait(lambda: client.state('robix_bridge') == 'IDLE', 5.0, 'the arm still moves')
+            # A stream of commands that has ended is a HOLD, even of an arm at rest.
+            client.wait(lambda: client.state('robix_bridge').startswith(('IDLE', 'HOLD')), 5.0,
+                        'the arm still moves')
             client.fresh('object/corners', 5.0, 'the tracker sends no corners')
     except TrialError as error:
         ending = f'failed: {error}'

@@ -91,6 +91,11 @@ class Pursuit:
         """Give the pose that is aimed at, counted from 0; -1 before the first look."""
         return self._attempt.index
 
+    @property
+    def at_last(self) -> bool:
+        """Tell whether the last pose is aimed at."""
+        return self.index == len(self.poses) - 1
+
     def take(self, poses: np.ndarray | None, lead: JointLead) -> None:
         """Take a path (N, 4, 4), or none."""
         self._path, self._lead = poses, lead
@@ -126,7 +131,7 @@ class Pursuit:
                 return begun
         if self._lead.passes(self.index):
             return self._pass_by(joints_rad, settings)
-        last, attempt = self.index == len(self.poses) - 1, self._attempt
+        last, attempt = self.at_last, self._attempt
         allowed = _allowed(settings, last)
         unsure = sigmas_of(self._filter.covariance(joints_rad)).over(allowed)
         over = errors_of(self.report(unsure)).over(allowed)
@@ -168,7 +173,7 @@ class Pursuit:
 
     def _reached(self, settings: ServoSettings) -> Decision:
         self.progress = self.progress._replace(reached=True)
-        if self.index == len(self.poses) - 1:
+        if self.at_last:
             return Decision(DONE)
         if not self._lead.passes(self.index):
             self._lead.note(self.index, self._watch.joints.known_rad)

@@ -251,7 +251,8 @@ class Servo:
         seen = self._look_on_the_way()
         if flow.ends and now_s > flow.ends_s - FLOW_LAST_S:
             self._flow = None
-            self._pursuit.aim_at(len(self._pursuit.poses) - 1)
+            if not self._pursuit.at_last:
+                self._pursuit.aim_at(len(self._pursuit.poses) - 1)
         elif seen or now_s > flow.sent_s + FLOW_REFRESH_S:
             self._send_flow(flow, now_s)
 
