@@ -151,14 +151,37 @@ def limit_step(robot: Robot, joints_rad: np.ndarray, target_rad: np.ndarray,
     return Step(joints_rad + share * step, float(share), limited_by)
 
 
+def rays_at(poses: np.ndarray, points_m: np.ndarray, home_depth_m: float,
+            nearest_m: float = 1e-3) -> np.ndarray:
+    """
+    Project points of the object to unit focal length.
+
+    Parameters
+    ----------
+    poses : (..., 4, 4) array
+        home_from_object.
+    points_m : (N, 3) array
+        Points of the object.
+    home_depth_m : float
+        Depth of home in front of the camera.
+    nearest_m : float
+        Points nearer than this, or behind the camera, count as at this depth.
+
+    Returns
+    -------
+    (..., N, 2) array
+
+    """
+    points = points_m @ np.swapaxes(poses[..., :3, :3], -1, -2) + poses[..., None, :3, 3]
+    return points[..., :2] / np.maximum(points[..., 2:] + home_depth_m, nearest_m)
+
+
 def corner_travel(model: ArmModel, from_rad: np.ndarray, to_rad: np.ndarray,
                   points_m: np.ndarray, home_depth_m: float) -> float:
     """Give the largest way of an object point in the image, at unit focal length."""
-    def rays(joints_rad: np.ndarray) -> np.ndarray:
-        pose = model.pose(joints_rad)
-        points = points_m @ pose[:3, :3].T + pose[:3, 3]
-        return points[:, :2] / np.maximum(points[:, 2:] + home_depth_m, 1e-3)
-    return float(np.linalg.norm(rays(to_rad) - rays(from_rad), axis=1).max())
+    start, end = (rays_at(model.pose(joints_rad), points_m, home_depth_m)
+                  for joints_rad in (from_rad, to_rad))
+    return float(np.linalg.norm(end - start, axis=1).max())
 
 
 def move_time(robot: Robot, step_rad: np.ndarray) -> float:

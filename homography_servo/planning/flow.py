@@ -21,6 +21,7 @@ from homography_servo.planning.command import Command
 from homography_servo.planning.control import damped_step
 from homography_servo.planning.control import displacement
 from homography_servo.planning.control import LENGTH_M
+from homography_servo.planning.control import rays_at
 from homography_servo.robot.robot_file import Robot
 import numpy as np
 
@@ -32,6 +33,7 @@ EXACT_BELOW_RAD = 0.01  # a step so small leaves a hundredth of itself, to the n
 ACCELERATION_SHARE = 0.6  # the rest is for bends and for corrections
 LARGEST_STEP_RAD = 0.3
 SHORTEST_S, SHORTEST_M = 1e-3, 1e-5
+NEAREST_M = 0.05  # depth of what is nearer: its way in the image would be without bound
 
 
 class Timed(NamedTuple):
@@ -228,9 +230,7 @@ class Flow:
 
     def _rays(self, poses: np.ndarray) -> np.ndarray:
         """Project the corners (..., P, 2) of the object at poses (..., 4, 4)."""
-        points = self._robot.object_points_m @ np.swapaxes(poses[..., :3, :3], -1, -2) \
-            + poses[..., None, :3, 3]
-        return points[..., :2] / np.maximum(points[..., 2:] + self._robot.home_depth_m, 0.05)
+        return rays_at(poses, self._robot.object_points_m, self._robot.home_depth_m, NEAREST_M)
 
     def _travel(self, here: np.ndarray, count: int) -> np.ndarray:
         """Give how far the fastest corner goes from here to each of the poses ahead."""

@@ -104,6 +104,11 @@ class Pursuit:
         """Go for a pose with all tries left; -1 chooses one after the next look."""
         self._attempt = Attempt(index)
 
+    def go_on_to(self, index: int) -> None:
+        """Go for a pose; if it is aimed at already, what was seen and tried counts on."""
+        if index != self.index:
+            self.aim_at(index)
+
     def aim_from(self, joints_rad: np.ndarray) -> Decision:
         """Go for the pose that is to be met next from joints (n,) on a new path."""
         self.aim_at(next_pose(self.poses, self._filter.pose(joints_rad)))

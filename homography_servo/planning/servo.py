@@ -246,13 +246,11 @@ class Servo:
     def _flow_on(self, flow: Flow, now_s: float) -> None:
         """Keep the stream of commands going; at its end wait for rest, then look."""
         flow.advance(now_s)
-        if flow.index != self._pursuit.index:
-            self._pursuit.aim_at(flow.index)
+        self._pursuit.go_on_to(flow.index)
         seen = self._look_on_the_way()
         if flow.ends and now_s > flow.ends_s - FLOW_LAST_S:
             self._flow = None
-            if not self._pursuit.at_last:
-                self._pursuit.aim_at(len(self._pursuit.poses) - 1)
+            self._pursuit.go_on_to(len(self._pursuit.poses) - 1)
         elif seen or now_s > flow.sent_s + FLOW_REFRESH_S:
             self._send_flow(flow, now_s)
 

@@ -19,6 +19,7 @@ from homography_servo.tracking.face_pose import pose_of_face
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import Look
 from homography_servo.tracking.polygon_fit import SnakeFit
+from homography_servo.tracking.quality import INLIER_WEIGHT
 from homography_servo.tracking.snake import fit_snake
 from homography_servo.tracking.target import Found
 from homography_servo.tracking.target import rolled
@@ -112,7 +113,7 @@ def _size(quad: np.ndarray) -> float:
 
 def _evenness(fit: SnakeFit) -> float:
     """Rate how alike the sides look from inside, 0 to 1."""
-    edges, good = fit.edges, fit.weight > 0.1
+    edges, good = fit.edges, fit.weight > INLIER_WEIGHT
     inside = edges.outside + edges.contrast
     levels = [np.median(inside[good & (edges.side == side)])
               for side in range(4) if (good & (edges.side == side)).any()]
