@@ -111,6 +111,14 @@ def test_poses_after_a_stay_are_not_passed_over():
     assert np.diff(places).max() == 2  # with 10 of all the poses in reach it would be 20
 
 
+@pytest.mark.parametrize('seed', range(3))
+def test_looks_on_the_way_to_the_last_pose_count_when_the_arm_stands_there(seed):
+    run = flowing(seed, count=7, frame_hz=30.0)
+    run.finish(30.0)
+    assert run.servo.state == DONE
+    assert run.now_s - run.commands[-1][0] < 0.25  # after that a bridge calls it silence
+
+
 def test_dense_path_takes_no_longer():
     seconds = []
     for count in (31, 501):
