@@ -110,6 +110,7 @@ class CameraSim(NodeKit, Node):
         problem = self._settings[ArmErrors].problem_with(self._arm.robot)
         if problem:
             raise ConfigError(self.NAME, 0, '', problem)
+        self._info_msg = camera_info_msg(self._camera, Header())
         self._ahead_s = min(RENDER_AHEAD_S, RENDER_AHEAD_SHARE / settings.rate_hz)
         self._index, self._began_s, self._last_moment_s = 0, time.monotonic(), 0.0
         self._waiting: deque[Shot] = deque(maxlen=MOST_WAITING)
@@ -196,7 +197,8 @@ class CameraSim(NodeKit, Node):
         msg = image_msg(pixels, header)
         time.sleep(max(0.0, shot.due_s - time.monotonic()))  # rendering takes no time of its own
         self._image.publish(msg)
-        self._info.publish(camera_info_msg(self._camera, header))
+        self._info_msg.header = header
+        self._info.publish(self._info_msg)
         if self._true_corners.get_subscription_count():
             self._true_corners.publish(polygon_msg(frame.true_corners_px, header))
         if frame.true_corners_px is not None and self._true_pose.get_subscription_count():

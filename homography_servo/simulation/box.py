@@ -13,7 +13,7 @@ NEAR_M = 0.01
 FACE, TOP, RIGHT, BOTTOM, LEFT, BACK = range(6)
 # Corner 0..3 of the face, 4..7 behind them; the order of the corners runs clockwise as
 # seen from outside, which decides whether a face looks at the camera.
-_FACES = ((0, 1, 2, 3), (1, 0, 4, 5), (2, 1, 5, 6), (3, 2, 6, 7), (0, 3, 7, 4), (7, 6, 5, 4))
+_FACES = ([0, 1, 2, 3], [1, 0, 4, 5], [2, 1, 5, 6], [3, 2, 6, 7], [0, 3, 7, 4], [7, 6, 5, 4])
 _PIECES_WHEN_BENT = 32
 
 
@@ -99,14 +99,14 @@ class BoxView:
     def outlines(self, camera_from_object: np.ndarray) -> list[Outline]:
         """List the faces that look at the camera and reach into its view."""
         vertices_m = self._in_camera(camera_from_object)
-        found: list[Outline] = []
-        for face in self._faces:
-            corners_m = vertices_m[list(_FACES[face])]
-            if _looks_at_camera(corners_m):
-                polygon_px = self.project_polygon(corners_m)
-                if polygon_px is not None:
-                    found.append(Outline(face, polygon_px))
-        return found
+        seen = [face for face in self._faces if _looks_at_camera(vertices_m[_FACES[face][:3]])]
+        if not self._bent and (vertices_m @ self._planes[:, :3].T + self._planes[:, 3]
+                               >= 0.0).all():
+            vertices_px = self._camera.project(vertices_m)  # nothing to cut off or to bend
+            return [Outline(face, vertices_px[_FACES[face]]) for face in seen]
+        polygons = [(face, self.project_polygon(vertices_m[_FACES[face]])) for face in seen]
+        return [Outline(face, polygon_px) for face, polygon_px in polygons
+                if polygon_px is not None]
 
     def corners(self, camera_from_object: np.ndarray) -> np.ndarray:
         """Project the corners of the face (4, 2), wherever they are."""

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
+from typing import Sequence
 
+import cv2
 import numpy as np
 
 
@@ -33,20 +36,18 @@ class Region(NamedTuple):
 
 def bounding_region(points_px: np.ndarray, width: int, height: int, margin_px: int) -> Region:
     """Enclose points in whole pixels plus a margin, clipped to the image."""
-    low = np.floor(points_px.min(axis=0)).astype(int) - margin_px
-    high = np.ceil(points_px.max(axis=0)).astype(int) + margin_px + 1
-    low = np.clip(low, 0, (width, height))
-    high = np.clip(high, low, (width, height))
-    return Region(int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
+    spans = []
+    for low, high, size in zip(points_px.min(axis=0).tolist(), points_px.max(axis=0).tolist(),
+                               (width, height)):
+        first = min(max(math.floor(low) - margin_px, 0), size)
+        spans.append((first, min(max(math.ceil(high) + margin_px + 1, first), size) - first))
+    (left, region_width), (top, region_height) = spans
+    return Region(left, top, region_width, region_height)
 
 
 def polygon_coverage(polygon_px: np.ndarray, region: Region) -> np.ndarray:
     """
     Compute the share of each pixel's square that lies inside a simple polygon.
-
-    Every edge is cut where it crosses the pixel grid. A piece inside one pixel hides a
-    trapezoid of that pixel to its right and the whole row behind it; the running sum
-    along the row of these signed areas is the covered area, as in font rasterisers.
 
     Parameters
     ----------
@@ -61,49 +62,76 @@ def polygon_coverage(polygon_px: np.ndarray, region: Region) -> np.ndarray:
         Covered share, 0 to 1, exact to rounding.
 
     """
-    start = np.asarray(polygon_px, float) - (region.left - 0.5, region.top - 0.5)
-    step = np.concatenate([start[1:], start[:1]]) - start
+    return polygon_coverages([polygon_px], [region])[0]
+
+
+def polygon_coverages(polygons_px: Sequence[np.ndarray],
+                      regions: Sequence[Region]) -> list[np.ndarray]:
+    """
+    Compute `polygon_coverage` of several polygons, each in a region of its own.
+
+    Every edge is cut where it crosses the pixel grid. A piece inside one pixel hides a
+    trapezoid of that pixel to its right and the whole row behind it; the running sum
+    along the row of these signed areas is the covered area, as in font rasterisers. A row
+    ends with one cell for what lies further right, where its sum returns to zero: so one
+    running sum does for the rows of all regions.
+    """
+    if not polygons_px:
+        return []
+    starts = [np.asarray(polygon, float) - (region.left - 0.5, region.top - 0.5)
+              for polygon, region in zip(polygons_px, regions)]
+    start = np.concatenate(starts)
+    step = np.concatenate([part for own in starts for part in (own[1:], own[:1])]) - start
+    shapes = [(region.height, region.width + 1) for region in regions]
+    ends = np.cumsum([height * stride for height, stride in shapes]).tolist()
+    window = np.repeat([(*shape, end - shape[0] * shape[1]) for shape, end in zip(shapes, ends)],
+                       [len(own) for own in starts], axis=0)
+
     edge, t_first, t_last = _cut_at_grid(start, step)
     middle = start[edge] + step[edge] * (0.5 * (t_first + t_last))[:, None]
     rise = step[edge, 1] * (t_last - t_first)
     column, row = np.floor(middle).astype(int).T
-    inside = np.where(column < 0, 0.0, middle[:, 0] - column)
-    keep = (row >= 0) & (row < region.height) & (column < region.width)
-    return _running_sum(row[keep], np.maximum(column, 0)[keep], rise[keep], inside[keep], region)
+    height, stride, first = window[edge].T
+    inside = np.where((column < 0) | (column >= stride - 1), 0.0, middle[:, 0] - column)
+    cell = first + row * stride + np.minimum(np.maximum(column, 0), stride - 1)
+    kept = (row >= 0) & (row < height)
+    shares = _running_sum(cell[kept], rise[kept], inside[kept], ends[-1])
+    return [part.reshape(shape)[:, :-1]
+            for part, shape in zip(np.split(shares, ends[:-1]), shapes)]
 
 
-def _running_sum(row: np.ndarray, column: np.ndarray, rise: np.ndarray, inside: np.ndarray,
-                 region: Region) -> np.ndarray:
-    stride = region.width + 1
-    cell = row * stride + column
+def _running_sum(cell: np.ndarray, rise: np.ndarray, inside: np.ndarray,
+                 cells: int) -> np.ndarray:
+    """Sum up what the pieces hide in their own pixel, and from the next one on."""
     areas = np.bincount(np.concatenate([cell, cell + 1]),
-                        np.concatenate([rise * (1.0 - inside), rise * inside]),
-                        region.height * stride)
+                        np.concatenate([rise * (1.0 - inside), rise * inside]), cells + 1)
     # Without any cell, bincount counts in whole numbers.
-    share = areas.astype(float, copy=False).reshape(region.height, stride)
-    share = share.cumsum(axis=1)[:, :-1]
+    areas = areas.astype(float, copy=False)[:cells]
+    share = cv2.integral(areas[None])[1, 1:]  # four times as fast as numpy's running sum
     return np.minimum(np.abs(share, out=share), 1.0, out=share)
 
 
 def _cut_at_grid(start: np.ndarray, step: np.ndarray
                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cut edges at all grid lines; give each piece's edge and its interval of t."""
-    cuts = [_crossings(start[:, axis], step[:, axis]) for axis in (0, 1)]
-    edge = np.concatenate([np.arange(len(start)), cuts[0][0], cuts[1][0]])
-    t_first = np.concatenate([np.zeros(len(start)), cuts[0][1], cuts[1][1]])
-    order = np.lexsort((t_first, edge))
+    count = len(start)
+    crossed, t_crossed = _crossings(start.T.ravel(), step.T.ravel())
+    edge = np.concatenate([np.arange(count), crossed % count])
+    t_first = np.concatenate([np.zeros(count), t_crossed])
+    order = np.argsort(edge + 0.5 * t_first)  # by edge, then along it
     edge, t_first = edge[order], t_first[order]
-    t_last = np.append(t_first[1:], 1.0)
-    t_last[np.append(edge[1:] != edge[:-1], True)] = 1.0
+    t_last = np.ones(len(edge))
+    same = edge[1:] == edge[:-1]
+    t_last[:-1][same] = t_first[1:][same]
     return edge, t_first, t_last
 
 
 def _crossings(start: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """List the parameters 0 < t < 1 at which coordinates pass whole numbers."""
-    low = np.floor(np.minimum(start, start + step)).astype(int)
-    count = np.ceil(np.maximum(start, start + step)).astype(int) - low - 1
-    count = np.maximum(count, 0)
-    edge = np.repeat(np.arange(len(start)), count)
-    first = np.repeat(np.cumsum(count) - count, count)
-    line = low[edge] + 1 + np.arange(len(edge)) - first
-    return edge, np.clip((line - start[edge]) / step[edge], 0.0, 1.0)
+    end = start + step
+    low = np.floor(np.minimum(start, end)).astype(int)
+    count = np.maximum(np.ceil(np.maximum(start, end)).astype(int) - low - 1, 0)
+    index = np.repeat(np.arange(len(start)), count)
+    # Number of each crossing in the whole list, less that of the first on its edge.
+    line = np.arange(1, len(index) + 1) + (low - np.cumsum(count) + count)[index]
+    return index, np.clip((line - start[index]) / step[index], 0.0, 1.0)

@@ -24,9 +24,10 @@ def fineness(blur_px: float) -> int:
 
 def enlarged(image: np.ndarray, times: int) -> np.ndarray:
     """Copy an image onto a grid of that many parts per pixel's side."""
-    if times == 1:
-        return image.astype(np.float32)
-    return image.repeat(times, axis=0).repeat(times, axis=1).astype(np.float32, copy=False)
+    image = image.astype(np.float32)
+    if times == 1 or not image.size:
+        return image
+    return cv2.resize(image, None, fx=times, fy=times, interpolation=cv2.INTER_NEAREST)
 
 
 def blurred(fine: np.ndarray, blur_px: float, times: int) -> np.ndarray:

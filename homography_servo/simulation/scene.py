@@ -13,7 +13,7 @@ from homography_servo.simulation.box import BoxView
 from homography_servo.simulation.box import FACE
 from homography_servo.simulation.box import Outline
 from homography_servo.simulation.coverage import bounding_region
-from homography_servo.simulation.coverage import polygon_coverage
+from homography_servo.simulation.coverage import polygon_coverages
 from homography_servo.simulation.coverage import Region
 from homography_servo.simulation.face_print import FacePrint
 from homography_servo.simulation.occluders import box_present
@@ -189,28 +189,31 @@ class Scene:
         if layers.shadow_px is not None:
             mixed *= 1.0 - settings.shadow * self._shadow_share(layers.shadow_px, fine)
         changes = np.zeros_like(mixed)
-        for outline in layers.faces:
-            part, share = self._share(outline.polygon_px, fine)
+        shares = self._shares([outline.polygon_px for outline in layers.faces], fine)
+        for outline, (part, share) in zip(layers.faces, shares):
             behind = mixed[part]
             changes[part] += share * (self._level(outline.face, camera_from_object, region, part)
                                       - behind)
         mixed += changes
         if layers.occluder_px is not None:
-            part, share = self._share(layers.occluder_px, fine)
+            (part, share), = self._shares([layers.occluder_px], fine)
             mixed[part] += share * (settings.occluder_level - mixed[part])
         return mixed
 
-    def _share(self, polygon_px: np.ndarray,
-               fine: Region) -> tuple[tuple[slice, slice], np.ndarray]:
-        """Give the part of the fine grid that a polygon reaches, and its share of it."""
-        polygon = (polygon_px + 0.5) * self._fineness - 0.5
-        inner = bounding_region(polygon - (fine.left, fine.top), fine.width, fine.height, 1)
-        whole = Region(inner.left + fine.left, inner.top + fine.top, inner.width, inner.height)
-        return inner.slices, polygon_coverage(polygon, whole).astype(np.float32)
+    def _shares(self, polygons_px: list[np.ndarray],
+                fine: Region) -> list[tuple[tuple[slice, slice], np.ndarray]]:
+        """Give the parts of the fine grid that polygons reach, and their shares of them."""
+        polygons = [(polygon_px + 0.5) * self._fineness - 0.5 for polygon_px in polygons_px]
+        inner = [bounding_region(polygon - (fine.left, fine.top), fine.width, fine.height, 1)
+                 for polygon in polygons]
+        wholes = [part._replace(left=part.left + fine.left, top=part.top + fine.top)
+                  for part in inner]
+        return [(part.slices, share.astype(np.float32))
+                for part, share in zip(inner, polygon_coverages(polygons, wholes))]
 
     def _shadow_share(self, shadow_px: np.ndarray, fine: Region) -> np.ndarray:
         share = np.zeros((fine.height, fine.width), np.float32)
-        part, inner = self._share(shadow_px, fine)
+        (part, inner), = self._shares([shadow_px], fine)
         share[part] = inner
         soft = self.settings.shadow_softness_px * self._fineness
         return cv2.GaussianBlur(share, (0, 0), soft) if soft > 0.05 else share
