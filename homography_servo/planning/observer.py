@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from homography_servo.geometry.camera import Camera
 from homography_servo.geometry.pose import estimate_pose
+from homography_servo.geometry.pose import PoseCandidate
 from homography_servo.geometry.pose import PoseEstimate
 from homography_servo.geometry.pose import Prior
 from homography_servo.planning.observer_settings import ObserverSettings
@@ -22,6 +23,7 @@ import numpy as np
 NOISE_LOOKS = 10  # looks that an estimate of the noise needs
 NOISE_RANGE_PX = (0.01, 5.0)
 MEDIAN_OF_NORMAL = 0.6745  # of the absolute value, in standard deviations
+SEARCH_PERIOD_S = 0.1  # in which the view has changed enough for another minimum to be born
 REST_SIGMAS = 6.0  # one corner in 10,000 looks is further off by chance
 
 
@@ -69,6 +71,8 @@ class Observer:
         self._measured_px: float | None = None
         self._noise_stale = False  # a look has come since it was measured
         self._last: tuple[np.ndarray, float] | None = None
+        self._minima: tuple[PoseCandidate, ...] = ()  # of the last look
+        self._searched_s = -math.inf  # when all of them were searched for
 
     @property
     def noise_px(self) -> float:
@@ -80,7 +84,7 @@ class Observer:
     def forget(self) -> None:
         """Forget all looks and the last pose."""
         self.lose_sight()
-        self._last = None
+        self._last, self._minima = None, ()
 
     def lose_sight(self) -> None:
         """Start averaging anew: the object may be elsewhere when it is seen again."""
@@ -114,11 +118,15 @@ class Observer:
         if covariance_px2 is not None:
             # A tracker tells of noise; edges that are not what they seem come on top.
             covariance_px2 = covariance_px2 + self.sigma_px**2 * np.eye(len(covariance_px2))
+        fresh = 0.0 <= time_s - self._searched_s < SEARCH_PERIOD_S
         estimate = self.pose_of(corners_px, camera, self._prior(time_s, arm_pose),
-                                covariance_px2=covariance_px2)
+                                covariance_px2=covariance_px2, near=self._minima if fresh else ())
         if isinstance(estimate, Rejected):
+            self._minima = ()
             self.lose_sight()
             return estimate
+        self._searched_s = self._searched_s if fresh and self._minima else time_s
+        self._minima = estimate.candidates
         self._looks.append(Look(np.array(corners_px, dtype=float), time_s, covariance_px2))
         while len(self._looks) > self.settings.looks_max:
             self._looks.popleft()
@@ -127,8 +135,8 @@ class Observer:
         return estimate
 
     def pose_of(self, corners_px: np.ndarray, camera: Camera, prior: Prior | None = None,
-                looks: int = 1,
-                covariance_px2: np.ndarray | None = None) -> PoseEstimate | Rejected:
+                looks: int = 1, covariance_px2: np.ndarray | None = None,
+                near: tuple[PoseCandidate, ...] = ()) -> PoseEstimate | Rejected:
         """Estimate a pose from the mean corners of some looks, without remembering it."""
         corners_px = np.asarray(corners_px, dtype=float)
         if corners_px.shape != (len(self.object_points_m), 2):
@@ -137,7 +145,7 @@ class Observer:
         estimate = estimate_pose(
             self.object_points_m, corners_px, camera, home_depth_m=self.home_depth_m,
             covariance_px2=self.noise_px**2 / looks if covariance_px2 is None
-            else covariance_px2, prior=prior)
+            else covariance_px2, prior=prior, near=near)
         if isinstance(estimate, Rejected):
             return estimate
         misfit_px = estimate.candidates[0].residual_px

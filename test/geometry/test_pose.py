@@ -1,5 +1,6 @@
 """Laws of the pose: recovery, both minima, covariance, invariance, prior, refusals."""
 
+import cv2
 from geometry_cases import BENT
 from geometry_cases import FACE_M
 from geometry_cases import PINHOLE
@@ -274,3 +275,37 @@ def test_misuse_names_the_shape_expected():
         estimate_pose(FACE_M, CORNERS_PX, PINHOLE, home_depth_m=-1.0)
     with pytest.raises(ValueError, match=r'covariance of a prior must have shape \(6, 6\)'):
         Prior(np.eye(4), np.eye(3))
+
+
+def on_the_way(noise_px=0.1, steps=60):
+    """See the face turn from a tilt of 40 degrees through the frontal view to the other side."""
+    rng = np.random.default_rng(31)
+    for angle_rad in np.radians(np.linspace(-40.0, 40.0, steps)):
+        pose = np.eye(4)
+        pose[:3, :3] = cv2.Rodrigues(np.array([0.3 * angle_rad, angle_rad, 0.1]))[0]
+        yield project(pose) + noise_px * rng.normal(size=(4, 2))
+
+
+def test_minima_of_the_view_before_lead_to_those_of_this_one():
+    near, numbers = (), []
+    for image in on_the_way():
+        whole = estimate_pose(FACE_M, image, PINHOLE, covariance_px2=0.01)
+        found = estimate_pose(FACE_M, image, PINHOLE, covariance_px2=0.01, near=near)
+        near = whole.candidates
+        numbers.append(len(near))
+        # A minimum that is born on the way may be missed; the best one is not.
+        assert len(found.candidates) <= len(near)
+        difference = pose_difference(found.home_from_object, whole.home_from_object)
+        assert difference @ np.linalg.solve(whole.covariance, difference) < 0.01
+        assert found.candidates[0].chi2 == pytest.approx(near[0].chi2, rel=1e-3, abs=1e-3)
+    assert set(numbers) == {1, 2}
+
+
+def test_minima_that_explain_nothing_are_left_for_a_search():
+    image = next(on_the_way())
+    both = estimate_pose(FACE_M, image, PINHOLE, covariance_px2=0.01)
+    assert both.candidates[1].chi2 > 30.0
+    found = estimate_pose(FACE_M, image, PINHOLE, covariance_px2=0.01,
+                          near=both.candidates[1:])  # the mirror alone
+    assert found.home_from_object == pytest.approx(both.home_from_object, abs=1e-6)
+    assert len(found.candidates) == 2

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from homography_servo.geometry.rigid import exp_twist
 from homography_servo.geometry.rigid import pose_difference
 from homography_servo.geometry.rigid import rotation_angle
 from homography_servo.planning.desk import PlanningDesk
@@ -115,6 +116,18 @@ def test_the_arm_decides_between_the_minima_then_the_last_pose():
         wrong = [is_mirror(bench.show(tilted, joints_rad).home_from_object, tilted)
                  for _ in range(60)]
         assert sum(wrong) <= 2
+
+
+def test_a_second_minimum_is_found_soon_after_it_was_born():
+    watching, waited = Observer(POINTS_M, 1.0, 0.02), 0
+    for time_s in np.arange(0.0, 0.6, 0.01):
+        pose = exp_twist([0.0, 0.0, 0.0, 0.0, min(2.0 * time_s, 0.8), 0.0])
+        alone = Observer(POINTS_M, 1.0, 0.02).see(seen(pose), CAMERA, time_s)
+        found = watching.see(seen(pose), CAMERA, time_s)
+        assert rotation_angle(found.home_from_object[:3, :3].T @ pose[:3, :3]) < 1e-4
+        waited = waited + 1 if len(found.candidates) < len(alone.candidates) else 0
+        assert waited <= 10  # looks in SEARCH_PERIOD_S
+    assert len(found.candidates) == 2
 
 
 def test_only_looks_since_the_last_motion_are_averaged():
