@@ -9,19 +9,25 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from bisect import bisect_right
+import struct
 import time
 from typing import Any, Callable
 
 from geometry_msgs.msg import PolygonStamped
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from homography_servo.nodes.conversions import seconds_from_stamp
-from homography_servo.nodes.kit import COMMANDS
-from homography_servo.nodes.kit import DEFAULT
 from homography_servo.nodes.kit import images_qos
 from sensor_msgs.msg import CameraInfo
 from trajectory_msgs.msg import JointTrajectory
 
 SOONER_S = 0.001  # by which the bridge may hear a command before the probe does
+_ENCAPSULATION = 4  # bytes before the first field of a serialized message
+
+
+def _stamp_s(serialized: bytes) -> float:
+    """Read the stamp of a message that begins with its header."""
+    order = '<' if serialized[1] & 1 else '>'
+    seconds, nanoseconds = struct.unpack_from(order + 'iI', serialized, _ENCAPSULATION)
+    return seconds + 1e-9 * nanoseconds
 
 
 class LatencyProbe:
@@ -48,23 +54,23 @@ class LatencyProbe:
         self.commands_s: list[float] = []
         self.recording = False
         self._steady_from_wall_s = time.monotonic() - time.time()
-        node.create_subscription(CameraInfo, 'camera_info', self._timed('image_hop'),
+        # An onlooker must not be waited for, and takes no message apart but for its stamp.
+        for step, kind, topic in (('image_hop', CameraInfo, 'camera_info'),
+                                  ('corners', PolygonStamped, 'object/corners'),
+                                  ('pose', PoseWithCovarianceStamped, 'object/pose')):
+            node.create_subscription(kind, topic, self._timed(step), images_qos(False), raw=True)
+        node.create_subscription(JointTrajectory, 'joint_trajectory', self._on_command,
                                  images_qos(False))
-        node.create_subscription(PolygonStamped, 'object/corners', self._timed('corners'), DEFAULT)
-        node.create_subscription(PoseWithCovarianceStamped, 'object/pose', self._on_pose, DEFAULT)
-        node.create_subscription(JointTrajectory, 'joint_trajectory', self._on_command, COMMANDS)
 
-    def _timed(self, step: str) -> Callable[[Any], None]:
-        def take(msg: Any) -> None:
-            if self.recording:
-                self.ages_s[step].append(time.time() - seconds_from_stamp(msg.header.stamp))
+    def _timed(self, step: str) -> Callable[[bytes], None]:
+        def take(serialized: bytes) -> None:
+            if not self.recording:
+                return
+            stamp_s = _stamp_s(serialized)
+            self.ages_s[step].append(time.time() - stamp_s)
+            if step == 'pose':
+                self.looks.append((time.monotonic(), stamp_s + self._steady_from_wall_s))
         return take
-
-    def _on_pose(self, msg: PoseWithCovarianceStamped) -> None:
-        self._timed('pose')(msg)
-        if self.recording:
-            stamp_s = seconds_from_stamp(msg.header.stamp)
-            self.looks.append((time.monotonic(), stamp_s + self._steady_from_wall_s))
 
     def _on_command(self, msg: JointTrajectory) -> None:
         if self.recording and msg.points:
