@@ -16,6 +16,7 @@ import time
 from typing import Any, Callable, Coroutine, Sequence
 
 from homography_servo.nodes.local_topics import is_idle
+from homography_servo.nodes.quiet import is_quiet
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException
 from rclpy.executors import SingleThreadedExecutor
@@ -94,7 +95,8 @@ class PromptExecutor(SingleThreadedExecutor):
             ('subscription', 'subscriptions', self._take_subscription),
             ('guard_condition', 'guards', self._take_guard_condition))
         entities = {kind: [(item, take) for node in self._served for item in getattr(node, listed)
-                           if not is_idle(item)] for kind, listed, take in kinds}
+                           if not is_idle(item) and not is_quiet(item)]
+                    for kind, listed, take in kinds}
         own = [self._guard.handle, self._sigint_gc.handle]
         self._wait_set = waiting = rclpy_implementation.WaitSet(
             len(entities['subscription']), len(entities['guard_condition']) + len(own),

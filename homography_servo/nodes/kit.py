@@ -15,8 +15,11 @@ from typing import Any, Callable, NamedTuple
 from diagnostic_msgs.msg import DiagnosticArray
 from diagnostic_msgs.msg import DiagnosticStatus
 from diagnostic_msgs.msg import KeyValue
+from homography_servo.nodes.local_topics import is_idle
 from homography_servo.nodes.local_topics import LocalPublisher
 from homography_servo.nodes.local_topics import LocalTopics
+from homography_servo.nodes.quiet import make_quiet
+from homography_servo.nodes.quiet import take_waiting
 from rclpy.clock import Clock
 from rclpy.clock import ClockType
 from rclpy.qos import DurabilityPolicy
@@ -29,6 +32,7 @@ LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
 DEFAULT = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 COMPLAINT_PERIOD_S = 1.0
+QUIET_PERIOD_S = 0.2
 
 
 SHORT = QoSProfile(depth=3, reliability=ReliabilityPolicy.RELIABLE)  # old ones are no use
@@ -112,6 +116,22 @@ class NodeKit:
         if self.local is not None and not raw:
             return self.local.subscribe(self, kind, topic, guarded, qos)
         return self.create_subscription(kind, topic, guarded, qos, raw=raw)
+
+    def listen_quietly(self, kind: type, topic: str, callback: Callable, qos: Any = DEFAULT
+                       ) -> Callable[[], None]:
+        """
+        Subscribe without being woken.
+
+        The callback hears all that has come when the returned function is called, and a
+        few times a second.
+        """
+        subscription = self.listen(kind, topic, callback, qos)
+        if is_idle(subscription):
+            return lambda: None
+        make_quiet(subscription)
+        take = functools.partial(take_waiting, subscription)
+        self.every(QUIET_PERIOD_S, take)
+        return take
 
     def create_publisher(self, kind: type, topic: str, qos: Any, **kwargs: Any) -> Any:
         """Make a publisher, which also reaches the other nodes of the process."""

@@ -111,9 +111,10 @@ class PathPlanner(NodeKit, Node):
         self._image_markers = self.latched(ImageMarker, 'path/image_markers')
 
     def _listen_to(self) -> None:
-        self.listen(CameraInfo, 'camera_info', self._on_camera, newest_image_qos(False))
-        self.listen(Float64MultiArray, 'object/corner_covariance', self._on_covariance,
-                    SHORT)
+        self._take_camera = self.listen_quietly(CameraInfo, 'camera_info', self._on_camera,
+                                                newest_image_qos(False))
+        self._take_covariances = self.listen_quietly(
+            Float64MultiArray, 'object/corner_covariance', self._on_covariance, SHORT)
         self.listen(PolygonStamped, 'object/corners', self._on_corners, SHORT)
         self.listen(JointState, 'joint_states', self._on_joints)
         self.listen(PolygonStamped, 'goal/corners', self._on_goal_corners)
@@ -143,6 +144,9 @@ class PathPlanner(NodeKit, Node):
             self._covariances.pop(next(iter(self._covariances)))
 
     def _on_corners(self, msg: PolygonStamped) -> None:
+        self._take_covariances()
+        if self._desk.camera is None:
+            self._take_camera()
         corners_px = corners_from_polygon(msg)
         if corners_px is None:
             self.count('corners_empty')
@@ -185,10 +189,12 @@ class PathPlanner(NodeKit, Node):
             self.get_logger().info(answer)
 
     def _on_teach(self, _request: Trigger.Request) -> tuple[bool, str]:
+        self._take_camera()
         answer = self._desk.teach(time.monotonic())
         return bool(answer), str(answer)
 
     def _on_plan(self, _request: Trigger.Request) -> tuple[bool, str]:
+        self._take_camera()
         plan = self._desk.plan(time.monotonic())
         self._last_sentence = str(plan) if isinstance(plan, Rejected) else plan.sentence
         if isinstance(plan, Rejected):

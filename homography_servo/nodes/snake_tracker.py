@@ -109,7 +109,8 @@ class SnakeTracker(NodeKit, Node):
     def _listen_to(self, own: SnakeTrackerSettings) -> None:
         qos = newest_image_qos(own.reliable_images)
         self.listen(Image, 'image', self._on_image, qos)
-        self.listen(CameraInfo, 'camera_info', self._on_camera, newest_image_qos(False))
+        self._take_camera = self.listen_quietly(CameraInfo, 'camera_info', self._on_camera,
+                                                newest_image_qos(False))
         self.listen(PolygonStamped, 'object/predicted_corners', self._on_predicted)
         self.listen(Float64MultiArray, 'path/image', self._on_path, LATCHED)
         self.listen(DiagnosticStatus, 'visual_servo/progress', self._on_progress)
@@ -127,6 +128,8 @@ class SnakeTracker(NodeKit, Node):
         if isinstance(stamp_s, Rejected):
             self.reject('image', stamp_s.reason)
             return
+        if self._tracker.camera is None:
+            self._take_camera()
         started_s = time.perf_counter()
         self._image_at_s = time.monotonic()
         self._track = self._tracker.update(grey, stamp_s, self._prediction(msg))

@@ -121,7 +121,8 @@ class VisualServo(NodeKit, Node):
         self.listen(JointTrajectory, 'path/joint_trajectory', self._on_plan, LATCHED)
         self.listen(PoseWithCovarianceStamped, 'object/pose', self._on_look)
         self.listen(JointState, 'joint_states', self._on_joints)
-        self.listen(CameraInfo, 'camera_info', self._on_camera, newest_image_qos(False))
+        self._take_camera = self.listen_quietly(CameraInfo, 'camera_info', self._on_camera,
+                                                newest_image_qos(False))
         self.listen(String, 'snake_tracker/state', self._on_tracker, LATCHED)
         self.listen(String, 'robix_bridge/state', self._on_bridge, LATCHED)
         self.serve(Trigger, '~/start', self._on_start)
@@ -214,6 +215,7 @@ class VisualServo(NodeKit, Node):
         """Begin a calibration; its answer comes when it has ended."""
         if self._active:
             return Rejected('on the way; stop first')
+        self._take_camera()
         trouble = self._servo.watch.trouble(time.monotonic(), self._servo.settings)
         if trouble:
             return Rejected(trouble)
@@ -267,6 +269,7 @@ class VisualServo(NodeKit, Node):
         if self._calibration is not None:
             return False, 'a calibration is on the way; stop first'
         self._ended_as = ''
+        self._take_camera()
         answer = self._servo.start(time.monotonic())
         self._tick()
         return not isinstance(answer, Rejected), str(answer)

@@ -12,6 +12,8 @@ from homography_servo.nodes.executor import executor_for  # noqa: E402
 from homography_servo.nodes.executor import PromptExecutor  # noqa: E402
 from homography_servo.nodes.kit import DEFAULT  # noqa: E402
 from homography_servo.nodes.kit import LATCHED  # noqa: E402
+from homography_servo.nodes.quiet import make_quiet  # noqa: E402
+from homography_servo.nodes.quiet import take_waiting  # noqa: E402
 import rclpy  # noqa: E402
 from rclpy.clock import Clock  # noqa: E402
 from rclpy.clock import ClockType  # noqa: E402
@@ -59,6 +61,29 @@ def test_every_message_comes_once_and_in_order(served, probe):
         executor.spin_once(timeout_sec=0.005)
     until(executor, probe, lambda: len(heard) >= 200)
     assert heard == [str(k) for k in range(200)] and threads == {threading.get_ident()}
+
+
+def test_a_quiet_subscription_wakes_nobody_and_keeps_what_comes(served, probe):
+    node, executor = served
+    heard, woken = [], []
+    quiet = node.create_subscription(String, 'quiet', lambda msg: heard.append(msg.data), DEFAULT)
+    node.create_subscription(String, 'loud', lambda msg: woken.append(msg.data), DEFAULT)
+    make_quiet(quiet)
+    publishers = [probe.node.create_publisher(String, name, DEFAULT) for name in ('quiet', 'loud')]
+    until(executor, probe, lambda: all(item.get_subscription_count() for item in publishers))
+    for _ in range(5):
+        for publisher in publishers:
+            publisher.publish(String(data='x'))
+    until(executor, probe, lambda: len(woken) == 5)
+    assert not heard
+
+    def taken():
+        take_waiting(quiet)
+        return len(heard) == 5
+    until(executor, probe, taken)
+    node.destroy_subscription(quiet)
+    take_waiting(quiet)
+    assert len(heard) == 5
 
 
 def test_timers_keep_their_period_and_can_be_cancelled(served):
