@@ -73,16 +73,22 @@ class Plane:
         square = np.einsum('...ij,...ij', miss, miss) / (2 * miss.shape[-2])
         return self.mean_focal * np.sqrt(square)
 
-    def covariance_to_image(self, corners: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-        """Carry the covariance (2m, 2m) of corners of the plane into the image."""
+    def show(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Bend a few points (N, 2) as `to_image`; differentiate them by those (N, 2, 2)."""
+        pixels, slopes = self.lens.show(self.rays(points))
+        slopes /= self.focal
+        return pixels, slopes
+
+    def to_image_with_covariance(self, points: np.ndarray, covariance: np.ndarray
+                                 ) -> tuple[np.ndarray, np.ndarray]:
+        """Bend a few points (N, 2) as `to_image`, and carry their covariance (2N, 2N) along."""
         if not self.bent:
-            return covariance
-        local = self.lens.jacobian(self.rays(corners)) / self.focal
-        jacobian = np.zeros_like(covariance)
-        for number, block in enumerate(local):
-            part = slice(2 * number, 2 * number + 2)
-            jacobian[part, part] = block
-        return jacobian @ covariance @ jacobian.T
+            return points, covariance
+        pixels, slopes = self.show(points)
+        for _ in range(2):  # rows, then columns
+            covariance = np.matmul(slopes, covariance.T.reshape(len(points), 2, -1)) \
+                .reshape(covariance.shape)
+        return pixels, covariance
 
     @property
     def maps(self) -> tuple[np.ndarray, np.ndarray]:

@@ -116,11 +116,11 @@ def _as_shown(corners: np.ndarray,
     """Give the corners in the image, and how far each side's middle bends away."""
     if not plane.bent:
         return corners, None
-    after = _next(len(corners))
-    middle = 0.5 * (corners + corners[after])
-    shown = plane.to_image(np.concatenate([corners, middle]))
-    shown, middle = shown[:len(corners)], shown[len(corners):]
-    return shown, middle - 0.5 * (shown + shown[after])
+    after, (shown, slopes) = _next(len(corners)), plane.show(corners)
+    along = corners.take(after, axis=0) - corners
+    turn = slopes.take(after, axis=0) - slopes
+    # So far from its chord is the middle of a cubic with these directions at its ends.
+    return shown, -0.125 * np.matmul(turn, along[:, :, None])[:, :, 0]
 
 
 def _outside(shown: np.ndarray, shape: tuple[int, ...]) -> float:

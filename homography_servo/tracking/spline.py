@@ -85,10 +85,6 @@ class ClosedSpline:
         """Sample the (M, 2) points of the curve with straight sides between corners."""
         return self._outline_basis @ corners
 
-    def corners_of_curve(self, curve: np.ndarray) -> np.ndarray:
-        """Pick the corners (corner_count, 2) out of a sampled curve, which has them exactly."""
-        return curve[::len(curve) // self.corner_count].copy()
-
     def normals(self, control: np.ndarray) -> np.ndarray:
         """
         Give the (M, 2) unit normals at the samples.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Callable
 from typing import NamedTuple
 
 from homography_servo.geometry.camera import Camera
@@ -28,9 +30,14 @@ class Track(NamedTuple):
     state: str
     corners_px: np.ndarray | None  # (4, 2)
     covariance_px2: np.ndarray | None  # (8, 8) of u0, v0, u1, ...
-    contour_px: np.ndarray | None  # (M, 2)
+    outline: Callable[[], np.ndarray] | None  # samples the contour (M, 2) [px]; seldom asked
     quality: Quality | None
     reason: str  # why there are no corners; empty when there are
+
+    @property
+    def contour_px(self) -> np.ndarray | None:
+        """Give points (M, 2) of the contour, from the first corner on."""
+        return None if self.outline is None else self.outline()
 
 
 class Tracker:
@@ -198,11 +205,10 @@ class Tracker:
             return Track(self._state, None, None, None, fit.quality,
                          'found, not yet confirmed')
         self._state = TRACKING
-        contour_px = self._plane.to_image(self._spline.outline(fit.corners))
-        self._last_px = self._spline.corners_of_curve(contour_px)
-        return Track(TRACKING, self._last_px,
-                     self._plane.covariance_to_image(fit.corners, fit.covariance), contour_px,
-                     fit.quality, '')
+        self._last_px, covariance_px2 = self._plane.to_image_with_covariance(
+            fit.corners, fit.covariance)
+        return Track(TRACKING, self._last_px, covariance_px2,
+                     partial(_contour, self._spline, self._plane, fit.corners), fit.quality, '')
 
     def _missing(self, why: Rejected, stamp_s: float) -> Track:
         self._missed += 1
@@ -220,6 +226,11 @@ class Tracker:
             self._state, self._was_lost = LOST, True
         self._follower.forget()
         self._confirmed = 0
+
+
+def _contour(spline: ClosedSpline, plane: Plane, corners: np.ndarray) -> np.ndarray:
+    """Sample the outline of a face with these corners of the plane [px]."""
+    return plane.to_image(spline.outline(corners))
 
 
 def _first_place(settings: TrackerSettings) -> np.ndarray | None:

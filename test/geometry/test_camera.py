@@ -47,6 +47,13 @@ def test_jacobian_is_the_derivative(camera, pixels):
             difference_px / (2.0 * step), rel=1e-6, abs=1e-4)
 
 
+def test_a_few_rays_are_shown_as_many_are(camera, pixels):
+    rays = np.vstack([camera.rays(pixels[:5]), [[0.0, 0.0], [8.0, -9.0]]])
+    shown, slopes = camera.show(rays)
+    assert shown == pytest.approx(camera.project_rays(rays), abs=1e-9)
+    assert slopes == pytest.approx(camera.jacobian(rays), abs=1e-6)
+
+
 @pytest.mark.parametrize('camera', [BENT, RATIONAL], ids=['plumb_bob', 'rational'])
 def test_polynomial_lenses_agree_with_opencv(camera):
     points = np.random.default_rng(5).uniform((-0.4, -0.3, 1.0), (0.4, 0.3, 1.0), (50, 3))

@@ -233,6 +233,9 @@ def test_a_bent_lens_carries_the_covariance():
     covariance = root @ root.T
     samples = corners.ravel() + rng.multivariate_normal(np.zeros(8), covariance, 4000)
     shown = plane.to_image(samples.reshape(-1, 4, 2)).reshape(-1, 8)
-    expected = plane.covariance_to_image(corners, covariance)
+    bent, expected = plane.to_image_with_covariance(corners, covariance)
+    assert bent == pytest.approx(plane.to_image(corners), abs=1e-9)
     assert np.cov(shown.T) == pytest.approx(expected, abs=0.1 * np.abs(expected).max())
-    assert Plane(CAMERA).covariance_to_image(corners, covariance) is covariance
+    straight = Plane(CAMERA).to_image_with_covariance(corners, covariance)
+    assert straight[0] is corners
+    assert straight[1] is covariance
