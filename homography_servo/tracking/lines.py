@@ -15,6 +15,7 @@ from itertools import accumulate
 from itertools import chain
 import math
 from typing import NamedTuple
+from typing import Sequence
 
 import numpy as np
 
@@ -44,8 +45,7 @@ class Layout:
     be cached.
     """
 
-    own: np.ndarray  # (n + c,) the line's side
-    side: np.ndarray  # (n + c,) the same; for the repeated ones, the side across the corner
+    side: np.ndarray  # (n + c,) the line's side; for the repeated ones, that across the corner
     total: int  # n
     near: int  # c
     blocks: list[int]  # (3 m,) lines at both ends of each side, then between them
@@ -79,7 +79,7 @@ def place_lines(shown: np.ndarray, sag: np.ndarray | None, half: int, stride: in
     table = np.array(firsts + steps).T @ spread
     place, along = table[:4].reshape(2, 2, -1), table[4]
     if sag is not None:  # across the side only
-        place[0] += np.abs(place[1]) * sag.T.take(layout.own, axis=1) \
+        place[0] += np.abs(place[1]) * (sag.T @ spread[:len(corners)]) \
             * (4.0 * along * (1.0 - along))
     return Lines(layout, np.rint(place), along[:layout.total])
 
@@ -109,8 +109,8 @@ def _side_lines(start: list[float], end: list[float], span: list[float], half: i
     low = math.ceil(min(one, other) - reach)
     lines = max(math.floor(max(one, other) + reach) - low, -stride) // stride + 1
     rounding = max(round_px // stride, 1)
-    if lines < LEAST_PARTS * rounding:
-        rounding = 1  # it would cost too much of a short side
+    while rounding > 1 and lines < LEAST_PARTS * rounding:
+        rounding //= 2  # it would cost too much of a short side
     rounded = rounding * (lines // rounding)
     low -= stride * ((rounded - lines) // 2)
     ends = min(2 * (int((near + reach) / stride) // 2 + 1), rounded // 2)
@@ -137,31 +137,57 @@ def layout_of(sides: tuple[Side, ...], per_segment: int) -> tuple[Layout, np.nda
         those of all lines.
 
     """
-    parts = [_parts(lines, near, per_segment) for lines, near, _, _ in sides]
-    cuts = [end for part in parts for end in part[:2]] + [between for _, _, between in parts]
-    layout = _layout(cuts, tuple([side[2:] for side in sides]))
-    count, total, blocks = len(sides), len(layout.own), layout.blocks
-    ends = 2 * count
-    first = [number for side, high in zip(sides, blocks[1:ends:2])
-             for number in (0, side.lines - high)]
-    begun = accumulate(blocks + blocks[:ends], initial=0)
-    shift = np.array([number - before
-                      for number, before in zip(first + blocks[:ends:2] + first, begun)])
-    spread = np.empty((2, count, total))
-    _unit(count).take(layout.own, axis=1, out=spread[0], mode='clip')
-    np.multiply(spread[0], shift.repeat(blocks + blocks[:ends]) + np.arange(total), out=spread[1])
-    return layout, spread.reshape(2 * count, total)
+    cuts = [_cut(number, len(sides), side.lines, side.ends, per_segment)
+            for number, side in enumerate(sides)]
+    near, between = [cut.near for cut in cuts], [cut.between for cut in cuts]
+    lines = np.concatenate([part.lines for part in near + between])
+    layout = _layout(lines, _ends_first([cut.blocks for cut in cuts]),
+                     _ends_first([cut.segments for cut in cuts]),
+                     tuple([side[2:] for side in sides]))
+    return layout, np.concatenate([part.spread for part in near + between + near], axis=1)
 
 
-@lru_cache(maxsize=1024)
-def _parts(lines: int, ends: int, per_segment: int) -> tuple[list[int], list[int], list[int]]:
-    """Cut a side into segments: those that hold the lines at its ends, and those between."""
+def _ends_first(sides: list[tuple[int, ...]]) -> list[int]:
+    """Order numbers of both ends of each side, and of what is between, as the blocks are."""
+    return [number for side in sides for number in side[:2]] + [side[2] for side in sides]
+
+
+class Part(NamedTuple):
+    """Lines of one side: those at both of its ends, or those between."""
+
+    lines: np.ndarray  # in each segment
+    spread: np.ndarray  # (2 m, n) as of `layout_of`
+
+
+class Cut(NamedTuple):
+    """How one side is cut into segments."""
+
+    blocks: tuple[int, ...]  # lines at its ends, and between
+    segments: tuple[int, ...]  # the same of segments
+    near: Part
+    between: Part
+
+
+@lru_cache(maxsize=512)
+def _cut(side: int, count: int, lines: int, ends: int, per_segment: int) -> Cut:
+    """Cut one of so many sides into segments: those that hold the lines at its ends, others."""
     cut = _segments(lines, per_segment)
     low, high = (bisect_left(list(accumulate(part)), ends) + 1 for part in (cut, cut[::-1]))
-    if low + high <= len(cut):
-        return cut[:low], cut[-high:], cut[low:-high]
-    return (_segments(ends, per_segment), _segments(ends, per_segment),
-            _segments(lines - 2 * ends, per_segment))
+    parts = cut[:low], cut[-high:], cut[low:-high]
+    if low + high > len(cut):
+        at_end = _segments(ends, per_segment)
+        parts = at_end, at_end, _segments(lines - 2 * ends, per_segment)
+    low, high, _ = blocks = tuple(map(sum, parts))
+    return Cut(blocks, tuple(map(len, parts)),
+               _part(parts[0] + parts[1], side, count, [*range(low), *range(lines - high, lines)]),
+               _part(parts[2], side, count, range(low, lines - high)))
+
+
+def _part(segments: list[int], side: int, count: int, numbers: Sequence[int]) -> Part:
+    """Describe lines with these numbers of one of so many sides."""
+    spread = np.zeros((2, count, len(numbers)))
+    spread[0, side], spread[1, side] = 1.0, numbers
+    return Part(np.array(segments, int), spread.reshape(2 * count, -1))
 
 
 def _segments(lines: int, per_segment: int) -> list[int]:
@@ -171,35 +197,32 @@ def _segments(lines: int, per_segment: int) -> list[int]:
     return [end - begin for begin, end in zip(ends, ends[1:])]
 
 
-def _layout(cuts: list[list[int]], facing: tuple[tuple[bool, bool], ...]) -> Layout:
-    """Arrange the lines of segments, which are given for each block (3 m,)."""
+def _layout(lines: np.ndarray, blocks: list[int], segments: list[int],
+            facing: tuple[tuple[bool, bool], ...]) -> Layout:
+    """Arrange the lines of segments; their numbers are given for each block (3 m,)."""
     count, (own, across) = len(facing), _seen(facing)
-    blocks, ends = list(map(sum, cuts)), 2 * count
-    repeated = blocks + blocks[:ends]
-    line_own, lines = own.repeat(repeated), np.array(list(chain.from_iterable(cuts)))
-    last = list(accumulate(map(len, cuts), initial=0))
+    ends, last = 2 * count, list(accumulate(segments, initial=0))
     parts = [(slice(last[2 * side], last[2 * side + 2]),
               slice(last[ends + side], last[ends + side + 1])) for side in range(count)]
     side_lines = [low + high + between for low, high, between in zip(
         blocks[:ends:2], blocks[1:ends:2], blocks[ends:])]
-    return Layout(line_own, across.repeat(repeated), sum(blocks), sum(blocks[:ends]), blocks,
-                  facing, np.add.accumulate(lines) - lines, lines,
-                  own[:3 * count].repeat(list(map(len, cuts))), parts, side_lines)
+    return Layout(across.repeat(blocks + blocks[:ends]), sum(blocks), sum(blocks[:ends]), blocks,
+                  facing, np.add.accumulate(lines) - lines, lines, own.repeat(segments), parts,
+                  side_lines)
 
 
 @lru_cache(maxsize=64)
 def _seen(facing: tuple[tuple[bool, bool], ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Give the blocks of lines their side, and the side that they are seen from."""
+    """
+    Give the blocks of lines their side (3 m,), and the side that they are seen from (5 m,).
+
+    The latter repeats the blocks at the ends, which the next side is to see.
+    """
     side, ahead = np.arange(len(facing)), np.array(facing)[:, 1]
     before, behind = np.roll(side, 1), np.roll(side, -1)
     across = np.where(ahead, (before, behind), (behind, before)).T.ravel()  # at either end
-    own = np.concatenate((side.repeat(2), side, side.repeat(2)))
-    return own, np.concatenate((own[:3 * len(facing)], across))
-
-
-@lru_cache(maxsize=8)
-def _unit(size: int) -> np.ndarray:
-    return np.eye(size)
+    own = np.concatenate((side.repeat(2), side))
+    return own, np.concatenate((own, across))
 
 
 def lines_within(lines: Lines, half: int, shape: tuple[int, ...], per_segment: int) -> Lines:
@@ -212,4 +235,6 @@ def lines_within(lines: Lines, half: int, shape: tuple[int, ...], per_segment: i
     block = np.arange(len(layout.blocks)).repeat(layout.blocks)[keep[:total]]
     blocks = np.bincount(block, minlength=len(layout.blocks)).tolist()
     cuts = [_segments(length, per_segment) for length in blocks]
-    return Lines(_layout(cuts, layout.facing), lines.place[:, :, keep], lines.along[keep[:total]])
+    layout = _layout(np.array(list(chain.from_iterable(cuts)), int), blocks,
+                     list(map(len, cuts)), layout.facing)
+    return Lines(layout, lines.place[:, :, keep], lines.along[keep[:total]])

@@ -24,7 +24,7 @@ def test_lines_reach_from_corner_to_corner_and_hardly_beyond(angle):
     corners = quad(angle)
     lines = lay(corners)
     layout, total = lines.layout, lines.layout.total
-    along = np.array([lines.along[layout.own[:total] == side] for side in range(4)],
+    along = np.array([lines.along[layout.side[:total] == side] for side in range(4)],
                      dtype=object)
     for side, places in enumerate(along):
         step = np.abs(np.diff(places.astype(float))).max()
@@ -40,7 +40,7 @@ def test_each_line_crosses_its_side_in_its_middle():
     layout, total = lines.layout, lines.layout.total
     start, step = lines.place[:, :, :total]
     middle = start + HALF * step
-    side = layout.own[:total]
+    side = layout.side[:total]
     edge = np.roll(corners, -1, axis=0) - corners
     on_side = corners[side] + lines.along[:, None] * edge[side]
     assert np.abs(middle.T - on_side).max() <= 0.5 + 1e-9
@@ -48,9 +48,8 @@ def test_each_line_crosses_its_side_in_its_middle():
 
 def test_lines_near_a_corner_are_repeated_for_the_side_across_it():
     layout = lay(quad()).layout
-    across, own = layout.side[layout.total:], layout.own[layout.total:]
+    across, own = layout.side[layout.total:], layout.side[:layout.near]
     assert set((across - own) % 4) == {1, 3}
-    assert np.array_equal(own, layout.own[:layout.near])
 
 
 def test_the_layout_rests_while_the_polygon_moves():
@@ -64,7 +63,7 @@ def test_segments_cut_every_side_into_neighbouring_lines():
     ends = np.append(layout.first_line[1:], layout.total)
     assert np.array_equal(ends - layout.first_line, layout.lines)
     for first, last, side in zip(layout.first_line, ends, layout.segment_side):
-        assert (layout.own[first:last] == side).all()
+        assert (layout.side[first:last] == side).all()
     assert layout.lines.min() >= 4 and layout.lines.max() <= 8
 
 
@@ -85,6 +84,6 @@ def test_lines_that_would_leave_the_image_are_left_out():
     assert 0 < total < lines.layout.total
     start = kept.place[0, :, :total]
     assert start.min() >= 0.0
-    assert np.array_equal(np.unique(kept.layout.segment_side), np.unique(kept.layout.own))
+    assert np.array_equal(np.unique(kept.layout.segment_side), np.unique(kept.layout.side))
     places = {tuple(place) for place in lines.place[0, :, :lines.layout.total].T}
     assert {tuple(place) for place in start.T} <= places
