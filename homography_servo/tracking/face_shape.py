@@ -11,8 +11,6 @@ learnt, and every picture need measure little more than a pose.
 from __future__ import annotations
 
 import math
-from operator import mul
-from typing import NamedTuple
 
 from homography_servo.result import Rejected
 from homography_servo.tracking.plane import Plane
@@ -26,20 +24,6 @@ MEAN_GAIN, SPREAD_GAIN = 0.1, 0.05  # of a picture among earlier ones
 MOST_SURPRISED = 9.0  # squared surprise that counts, over the usual: 3 sigmas
 LEAST_TOLD = 0.1  # share of the prior's variance that a picture must remove to teach
 LEAST_AREA = 1e-9  # of a triangle of corners, normalised coordinates
-
-
-class Bent(NamedTuple):
-    """How four corners differ from a view of the rectangle, to first order."""
-
-    value: tuple[float, float]  # cosine of the angle of its sides, log of their ratio
-    axes: np.ndarray  # (2, 8) orthonormal moves of the corners that change it
-    scale: tuple[float, float, float]  # value follows these: l11, l21, l22 [1/px]
-
-    def moved(self, value: list[float]) -> np.ndarray:
-        """Say how far along the axes the corners reach another value (2,) [px]."""
-        first = (value[0] - self.value[0]) / self.scale[0]
-        return np.array((first, (value[1] - self.value[1] - self.scale[1] * first)
-                         / self.scale[2]))
 
 
 def angle_and_ratio(rays: np.ndarray
@@ -113,58 +97,51 @@ class FaceShape:
 
     def __init__(self, face_size_m: tuple[float, float], plane: Plane) -> None:
         self._plane, self._ratio = plane, math.log(face_size_m[0] / face_size_m[1])
+        if plane.camera is not None:
+            self._per_px = np.tile(1.0 / plane.focal, 4)
         self.forget()
 
     def forget(self) -> None:
         """Begin anew with what the size of the face says."""
         self._mean = [0.0, self._ratio]
         self._variance, self._learnt = FIRST_SIGMA_PX ** 2, 0  # [px^2]
-        self._asked: tuple[np.ndarray, Bent, np.ndarray] | None = None
+        self._asked: tuple[Prior, np.ndarray] | None = None
 
     def prior(self, corners: np.ndarray) -> Prior | None:
         """Hold corners (4, 2) to a view of the face; None where they cannot be one."""
         self._asked = None
-        bent = None if self._plane.camera is None else self._bent(corners)
-        if bent is None:
+        if self._plane.camera is None:
             return None
-        move = bent.moved(self._mean)
-        self._asked = corners, bent, move
-        return Prior(corners + (move @ bent.axes).reshape(4, 2),
-                     (bent.axes.T @ bent.axes) / self._variance)
+        found = angle_and_ratio(self._plane.rays(corners))
+        if isinstance(found, Rejected):
+            return None
+        cosine, ratio, *slopes_of_both = found
+        slopes = self._per_px * slopes_of_both  # (2, 8) [1/px]
+        (one, both), (_, two) = (slopes @ slopes.T).tolist()
+        # Corners are held along the slopes, by a deviation that is the same in all directions.
+        weight = 1.0 / (self._variance * (one * two - both * both))
+        stiff = weight * np.array(((two, -both), (-both, one))) @ slopes
+        away = np.array((self._mean[0] - cosine, self._mean[1] - ratio))
+        move = self._variance * (away @ stiff)
+        prior = Prior(corners + move.reshape(4, 2), slopes.T @ stiff)
+        self._asked = prior, slopes
+        return prior
 
     def learn(self, fit: SnakeFit) -> None:
         """Compare a trusted fit with the prior that it used."""
         if self._asked is None:
             return
-        (corners, bent, move), self._asked = self._asked, None
-        first, second = (bent.axes @ (fit.corners - corners).ravel() - move).tolist()
-        left = 0.5 * float(np.vdot(bent.axes @ fit.covariance, bent.axes))
-        told = self._variance - left  # what the picture took away
-        share = told / self._variance
-        if share < LEAST_TOLD:
+        (prior, slopes), self._asked = self._asked, None
+        share = 1.0 - 0.5 * float(np.vdot(prior.information, fit.covariance))
+        if share < LEAST_TOLD:  # of the variance that the picture took away
             return
+        missed = (fit.corners - prior.corners).ravel()
         # The fit gives in to the prior: it shows this share of what the picture says.
-        surprise = (first * first + second * second) / (2.0 * told)
+        surprise = 0.5 * float(missed @ prior.information @ missed) / share
         gain = max(MEAN_GAIN, 1.0 / (self._learnt + 1.0)) \
             * min(1.0, math.sqrt(MOST_SURPRISED / max(surprise, 1e-12)))
         self._learnt += 1
-        one, both, two = bent.scale
-        self._mean[0] += gain * one * first
-        self._mean[1] += gain * (both * first + two * second)
+        angle, ratio = (slopes @ missed).tolist()
+        self._mean = [self._mean[0] + gain * angle, self._mean[1] + gain * ratio]
         grown = SPREAD_GAIN / share * (min(surprise, MOST_SURPRISED) - 1.0)
         self._variance = max(self._variance * (1.0 + grown), LEAST_SIGMA_PX ** 2)
-
-    def _bent(self, corners: np.ndarray) -> Bent | None:
-        found = angle_and_ratio(self._plane.rays(corners))
-        if isinstance(found, Rejected):
-            return None
-        cosine, ratio, first, second = found
-        per_px = [1.0 / focal for focal in self._plane.focal.tolist()] * 4
-        first, second = list(map(mul, first, per_px)), list(map(mul, second, per_px))
-        one = math.hypot(*first)
-        first = [slope / one for slope in first]
-        both = sum(map(mul, first, second))
-        second = [slope - both * along for slope, along in zip(second, first)]
-        two = math.hypot(*second)
-        axes = np.array((first, [slope / two for slope in second]))
-        return Bent((cosine, ratio), axes, (one, both, two))

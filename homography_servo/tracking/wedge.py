@@ -18,7 +18,8 @@ def cut_corners(scan: Scan, geometry: Geometry, profile: EdgeProfile, distance: 
     Let the next side cut off the lines close to a corner.
 
     The share of a blurred wedge is that of two correlated normal variables, by the first
-    two terms of its series in the correlation (which is 0 at a right angle).
+    term of its series in the correlation r (which is 0 at a right angle). A right angle
+    leaves out up to 0.16 r, this 0.03 r^2, which is less at corners of 50 to 130 degrees.
 
     Parameters
     ----------
@@ -41,23 +42,15 @@ def cut_corners(scan: Scan, geometry: Geometry, profile: EdgeProfile, distance: 
     if max(map(abs, cosines)) < SQUARE:
         own *= cut_share
         return
-    skew = -_of_near_lines(cosines, layout)
-    pixels = along_line(len(scan.grey))
-    away, beyond = pixels @ distance[:, :near], pixels @ distance[:, total:]
-    variance = np.float32(profile.sigma_px ** 2)
-    first = (variance * skew) * cut_slope
-    second = beyond * first
-    second *= (np.float32(0.5) / variance) * skew
-    both = second * away
-    both -= first
-    share, slope = own
+    (share, slope), variance = own, profile.sigma_px ** 2
+    cut_slope *= _of_near_lines([-variance * cosine for cosine in cosines], layout)
+    left = along_line(len(scan.grey)) @ (distance[:, :near] / np.float32(variance))
+    left *= cut_slope
+    left += cut_share
+    cut_slope *= slope
     share *= cut_share
-    share += slope * both
-    away *= both
-    away /= variance
-    second += cut_share
-    second -= away
-    slope *= second
+    share -= cut_slope
+    slope *= left
 
 
 def _corner_cosines(geometry: Geometry) -> list[float]:
