@@ -11,7 +11,6 @@ from homography_servo.tracking.edges import Edges
 from homography_servo.tracking.face_pose import FacePose
 from homography_servo.tracking.face_pose import moved_pose
 from homography_servo.tracking.face_pose import pose_of_face
-from homography_servo.tracking.face_pose import project
 from homography_servo.tracking.face_pose import project_with_slopes
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import Prior
@@ -32,13 +31,33 @@ ENDS = np.array([[0, 4], [5, 9], [10, 14], [15, 3]])  # (corner, side) of both e
 class Outline(NamedTuple):
     """The box behind the face in one picture."""
 
-    pose: FacePose
-    step: np.ndarray  # (6,) turn and shift since the last one
-    length: list[float]  # (4,) of the sides of the face [px]
+    near: FacePose  # where it was expected
+    step: np.ndarray  # (6,) turn and shift from there
+    corners: np.ndarray  # (4, 2) of the face [px]
+    miss: np.ndarray  # (8,) from the corners of the expected pose to these [px]
+    slopes: np.ndarray  # (8, 6) of the former
+    focal: np.ndarray  # (2,) [px]
+    pose_from_corners: np.ndarray  # (6, 8)
+    length: np.ndarray  # (4,) of the sides of the face [px]
     width: np.ndarray  # (4, 2) of the strip beside each side, at its corners [px]
     reach: np.ndarray  # (4, 2) where along the side these widths are, 0 to 1
     rows: np.ndarray  # (4, 2, 8) change of the widths with the corners
-    rigid: Prior  # the corners are a view of the face
+
+    @property
+    def left(self) -> np.ndarray:
+        """Give what the corners (4, 2) miss a view of the face by [px]."""
+        return (self.miss - self.slopes @ self.step).reshape(4, 2)
+
+    @property
+    def pose(self) -> FacePose:
+        """Give the pose of the face."""
+        return moved_pose(self.near, self.step, self.left / self.focal)
+
+    @property
+    def rigid(self) -> Prior:
+        """Say that the corners are a view of the face."""
+        return Prior(self.corners - self.left,
+                     (UNIT - self.slopes @ self.pose_from_corners) / RIGID_SIGMA_PX ** 2)
 
 
 class BoxSides:
@@ -61,8 +80,8 @@ class BoxSides:
         front = face_corners(*face_size_m)
         self._front_m = front
         self._all_m = np.vstack([front, front + (0.0, 0.0, height_m)])
-        self._pose: FacePose | None = None
-        self._step = np.zeros(6)  # from picture to picture
+        self._pose: FacePose | None = None  # that was expected last
+        self._step = self._due = np.zeros(6)  # from picture to picture, and from that pose
         self._levels = SideLevels()
 
     def strips(self, corners: np.ndarray) -> tuple[Strips, Prior] | tuple[None, None]:
@@ -76,15 +95,22 @@ class BoxSides:
             is known.
 
         """
+        strips, outline = self.predict(corners)
+        if strips is None or outline is None:
+            return None, None
+        return strips, outline.rigid
+
+    def predict(self, corners: np.ndarray) -> tuple[Strips, Outline] | tuple[None, None]:
+        """Give the same strips with the outline that they follow from."""
         if not self._levels.known:
             return None, None
         outline = self.outline(corners)
         if isinstance(outline, Rejected):
             return None, None
-        self._pose, self._step = outline.pose, outline.step
-        strips = Strips(outline.width, outline.rows, *self._levels.relative(),
-                        _spans(outline))
-        return strips, outline.rigid
+        self._pose, self._step = outline.near, self._step + outline.step
+        self._due = self._step + outline.step
+        return Strips(outline.width, outline.rows, *self._levels.relative(),
+                      _spans(outline)), outline
 
     def learn(self, edges: Edges, weight: np.ndarray, strips: Strips | None, half: int) -> None:
         """Take in the grey levels that a good fit with weights (s,) has found."""
@@ -92,32 +118,31 @@ class BoxSides:
 
     def outline(self, corners: np.ndarray) -> Outline | Rejected:
         """Find the pose of the face and from it the outline of the box."""
-        near = self._pose
-        if near is None:
-            first = pose_of_face(self._front_m, self._plane.rays(corners))
-            if isinstance(first, Rejected):
-                return first
-            near, self._step = first, np.zeros(6)
-        near, focal = moved_pose(near, self._step, near.miss), self._plane.focal
-        predicted, slopes = project_with_slopes(self._all_m, near.rotation, near.translation)
-        slopes *= focal[:, None]
-        front = slopes[:4].reshape(8, 6)
+        near = self._expected(corners)
+        if isinstance(near, Rejected):
+            return near
+        rays, slopes = project_with_slopes(self._all_m, near.rotation, near.translation)
+        slopes *= self._plane.focal[:, None]
+        expected, front = self._plane.from_rays(rays), slopes[:4].reshape(8, 6)
         determined, covariance = cv2.invert(front.T @ front, flags=cv2.DECOMP_CHOLESKY)
         if not determined:
             self._pose = None
             return Rejected('the pose of the face is not determined')
         pose_from_corners = covariance @ front.T
-        miss = (corners - self._plane.from_rays(predicted[:4])).ravel()
+        miss = (corners - expected[:4]).ravel()
         step = pose_from_corners @ miss
-        miss = (miss - front @ step).reshape(4, 2)
-        pose = moved_pose(near, step, miss / focal)
-        back = self._plane.from_rays(project(self._all_m[4:], pose.rotation, pose.translation))
-        geometry = side_geometry(corners)
+        back, geometry = expected[4:] + slopes[4:] @ step, side_geometry(corners)
         width, reach, rows = _beside(geometry, back - corners, slopes[4:] - slopes[:4],
                                      pose_from_corners)
-        rigid = Prior(corners - miss, (UNIT - front @ pose_from_corners) / RIGID_SIGMA_PX ** 2)
-        return Outline(pose, self._step + step, geometry.length.tolist(), width, reach, rows,
-                       rigid)
+        return Outline(near, step, corners, miss, front, self._plane.focal, pose_from_corners,
+                       geometry.length, width, reach, rows)
+
+    def _expected(self, corners: np.ndarray) -> FacePose | Rejected:
+        """Go on as from picture to picture, or begin with the pose of these corners."""
+        if self._pose is not None:
+            return moved_pose(self._pose, self._due, self._pose.miss)
+        self._step = np.zeros(6)
+        return pose_of_face(self._front_m, self._plane.rays(corners))
 
 
 def _spans(outline: Outline) -> np.ndarray:
@@ -130,7 +155,8 @@ def _spans(outline: Outline) -> np.ndarray:
     if not any(shows):
         return WHOLE
     spans = []
-    for side, (length, (first, last)) in enumerate(zip(outline.length, outline.reach.tolist())):
+    for side, (length, (first, last)) in enumerate(zip(outline.length.tolist(),
+                                                       outline.reach.tolist())):
         here, margin = shows[side], CORNER_MARGIN_PX / length
         low = max(first, 0.0) if here else 0.0
         high = min(last, 1.0) if here else 1.0

@@ -67,12 +67,6 @@ def pose_of_face(points_m: np.ndarray, rays: np.ndarray, start: FacePose | None 
     return FacePose(rotation, translation, miss)
 
 
-def project(points_m: np.ndarray, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
-    """Project points (N, 3) to normalised coordinates (N, 2)."""
-    points = points_m @ rotation.T + translation
-    return points[:, :2] / points[:, 2:]
-
-
 def project_with_slopes(points_m: np.ndarray, rotation: np.ndarray,
                         translation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """

@@ -245,9 +245,11 @@ class Follower:
     def _sharp(self, image: np.ndarray, prior: Prior) -> SnakeFit | Rejected:
         blur_px = round(50.0 * self.blur_px) / 50.0
         half = self.settings.edge_half_px + max(0, round(2.0 * (blur_px - 0.8)))
-        strips, rigid = (None, None) if self._box is None else self._box.strips(prior.corners)
+        strips, outline = (None, None) if self._box is None else self._box.predict(prior.corners)
         if self.following:
             rigid = self._shape.prior(prior.corners)
+        else:
+            rigid = None if outline is None else outline.rigid
         held = prior if rigid is None else both(prior, rigid)
         look = Look(blur_px, half, done_sigmas=DONE_SIGMAS,
                     round_px=ROUND_PX if self.following else 1)
