@@ -112,9 +112,10 @@ class BoxSides:
         return Strips(outline.width, outline.rows, *self._levels.relative(),
                       _spans(outline)), outline
 
-    def learn(self, edges: Edges, weight: np.ndarray, strips: Strips | None, half: int) -> None:
+    def learn(self, edges: Edges, weight: np.ndarray, strips: Strips | None, half: int,
+              pictures: int = 1) -> None:
         """Take in the grey levels that a good fit with weights (s,) has found."""
-        self._levels.learn(edges, weight, strips, half)
+        self._levels.learn(edges, weight, strips, half, pictures)
 
     def outline(self, corners: np.ndarray) -> Outline | Rejected:
         """Find the pose of the face and from it the outline of the box."""

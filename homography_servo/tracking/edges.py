@@ -148,8 +148,7 @@ def line_distances(scan: Scan, geometry: Geometry
     plane is the image.
     """
     line = geometry.line.take(scan.layout.side, axis=1)
-    along_u, along_v = (scan.place * line[:2]).transpose(1, 0, 2)
-    distance = along_u + along_v
+    distance = np.einsum('ijn,jn->in', scan.place, line[:2])
     distance[0] -= line[2]
     if not scan.bent:
         return distance.astype(np.float32), None

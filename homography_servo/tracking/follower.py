@@ -67,6 +67,7 @@ class Follower:
         if box_height_m > 0.0 and plane.camera is not None:
             self._box = BoxSides(face_size_m, box_height_m, plane)
         self._locator, self._accepted = Locator(), 0
+        self._unlearnt = 0  # pictures that have not told the levels of the box's sides
         self._face, self._shape = FaceCheck(face_size_m, plane), FaceShape(face_size_m, plane)
         self._print = PrintFollower(plane, self._face)
         self.forget()
@@ -180,9 +181,10 @@ class Follower:
         self._learn_sides(fit)
         return self._fine(image, shape_prior(fit.corners, GIVEN_SHAPE_SIGMA_PX))
 
-    def _learn_sides(self, fit: SnakeFit) -> None:
+    def _learn_sides(self, fit: SnakeFit, pictures: int = 1) -> None:
         if self._box is not None:
-            self._box.learn(fit.edges, fit.weight, fit.strips, self.settings.edge_half_px)
+            self._box.learn(fit.edges, fit.weight, fit.strips, self.settings.edge_half_px,
+                            pictures)
 
     def accept(self, image: np.ndarray, fit: SnakeFit, stamp_s: float) -> None:
         """Learn from a fit that is trusted."""
@@ -190,7 +192,10 @@ class Follower:
             self._motion = Motion()
         self._motion.measured(fit.corners, stamp_s)
         self._accepted += 1
-        self._learn_sides(fit)
+        self._unlearnt += 1
+        if fit.edges.second is not None or self._accepted % SELDOM == 1:
+            self._learn_sides(fit, self._unlearnt)
+            self._unlearnt = 0
         if self._accepted % SELDOM == 1:
             self._locator.remember(image, self._plane.to_image(fit.corners))
         if not self._print.known and self._accepted % KEY_EVERY == 1:
@@ -200,7 +205,7 @@ class Follower:
         if fit.by_print:
             return  # its edges are too weak to learn from
         self._shape.learn(fit)
-        if self._accepted <= REFOCUS_FIRST or self._accepted % REFOCUS_EVERY == SELDOM + 1:
+        if self._accepted <= REFOCUS_FIRST or self._accepted % REFOCUS_EVERY == SELDOM - 1:
             clean = (fit.weight > INLIER_WEIGHT) & fit.edges.single
             self.blur_px = refocus(required(fit.scan, 'scan'), fit.corners, clean, self.blur_px)
 

@@ -48,6 +48,7 @@ class Layout:
     side: np.ndarray  # (n + c,) the line's side; for the repeated ones, that across the corner
     total: int  # n
     near: int  # c
+    corner: np.ndarray  # (c,) at which corner, which begins the side of the same number
     blocks: list[int]  # (3 m,) lines at both ends of each side, then between them
     facing: tuple[tuple[bool, bool], ...]  # (m,) whether steep, and ahead, as in Side
     first_line: np.ndarray  # (s,) of each segment
@@ -200,29 +201,31 @@ def _segments(lines: int, per_segment: int) -> list[int]:
 def _layout(lines: np.ndarray, blocks: list[int], segments: list[int],
             facing: tuple[tuple[bool, bool], ...]) -> Layout:
     """Arrange the lines of segments; their numbers are given for each block (3 m,)."""
-    count, (own, across) = len(facing), _seen(facing)
+    count, (own, across, corner) = len(facing), _seen(facing)
     ends, last = 2 * count, list(accumulate(segments, initial=0))
     parts = [(slice(last[2 * side], last[2 * side + 2]),
               slice(last[ends + side], last[ends + side + 1])) for side in range(count)]
     side_lines = [low + high + between for low, high, between in zip(
         blocks[:ends:2], blocks[1:ends:2], blocks[ends:])]
-    return Layout(across.repeat(blocks + blocks[:ends]), sum(blocks), sum(blocks[:ends]), blocks,
-                  facing, np.add.accumulate(lines) - lines, lines, own.repeat(segments), parts,
-                  side_lines)
+    return Layout(across.repeat(blocks + blocks[:ends]), sum(blocks), sum(blocks[:ends]),
+                  corner.repeat(blocks[:ends]), blocks, facing,
+                  np.add.accumulate(lines) - lines, lines, own.repeat(segments), parts, side_lines)
 
 
 @lru_cache(maxsize=64)
-def _seen(facing: tuple[tuple[bool, bool], ...]) -> tuple[np.ndarray, np.ndarray]:
+def _seen(facing: tuple[tuple[bool, bool], ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Give the blocks of lines their side (3 m,), and the side that they are seen from (5 m,).
+    Give the blocks of lines their side (3 m,), the side that they are seen from (5 m,), corners.
 
-    The latter repeats the blocks at the ends, which the next side is to see.
+    The second repeats the blocks at the ends, which the next side is to see; only those
+    have a corner (2 m,).
     """
     side, ahead = np.arange(len(facing)), np.array(facing)[:, 1]
     before, behind = np.roll(side, 1), np.roll(side, -1)
     across = np.where(ahead, (before, behind), (behind, before)).T.ravel()  # at either end
+    corner = np.where(ahead, (side, behind), (behind, side)).T.ravel()
     own = np.concatenate((side.repeat(2), side))
-    return own, np.concatenate((own, across))
+    return own, np.concatenate((own, across)), corner
 
 
 def lines_within(lines: Lines, half: int, shape: tuple[int, ...], per_segment: int) -> Lines:

@@ -29,7 +29,7 @@ class Plane:
             self.focal = np.array([camera.fx, camera.fy])
             self.mean_focal = 0.5 * (camera.fx + camera.fy)
             self._centre = np.array([camera.cx, camera.cy])
-        self._maps: tuple[np.ndarray, np.ndarray] | None = None
+        self._map: np.ndarray | None = None
 
     @property
     def lens(self) -> Camera:
@@ -91,13 +91,12 @@ class Plane:
         return pixels, covariance
 
     @property
-    def maps(self) -> tuple[np.ndarray, np.ndarray]:
-        """Give the plane's u and v of every pixel of the image, flat; made on first use."""
-        if self._maps is None:
+    def map(self) -> np.ndarray:
+        """Give the plane's point (H W, 2) of every pixel of the image; made on first use."""
+        if self._map is None:
             grid = np.stack(np.meshgrid(np.arange(self.lens.width),
                                         np.arange(self.lens.height)), axis=-1)
             straight = self.from_image(grid.reshape(-1, 2).astype(float))
             # No ray reaches some pixels of a bad calibration: far away is harmless.
-            straight = np.where(np.isfinite(straight), straight, 1e6)
-            self._maps = (straight[:, 0].copy(), straight[:, 1].copy())
-        return self._maps
+            self._map = np.where(np.isfinite(straight), straight, 1e6)
+        return self._map

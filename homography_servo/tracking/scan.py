@@ -53,7 +53,12 @@ class Scan(NamedTuple):
 
 def side_geometry(corners: np.ndarray) -> Geometry:
     """Describe the sides of a polygon (m, 2); in plain floats, for there are so few."""
-    points, rows = corners.tolist(), []
+    return _side_geometry(corners.tobytes())
+
+
+@lru_cache(maxsize=4)  # one picture asks again for the same corners
+def _side_geometry(corners: bytes) -> Geometry:
+    points, rows = np.frombuffer(corners).reshape(-1, 2).tolist(), []
     for (u, v), (next_u, next_v) in zip(points, points[1:] + points[:1]):
         along_u, along_v = next_u - u, next_v - v
         length = math.sqrt(along_u * along_u + along_v * along_v) + 1e-12
@@ -162,7 +167,9 @@ def _gather(image: np.ndarray, plane: Plane, half: int, lines: Lines) -> Scan:
 
 def _in_plane(plane: Plane, memory: np.ndarray, half: int) -> np.ndarray:
     """Give first pixels and steps (2, 2, n) of lines in the plane of a lens that bends."""
-    first, step = memory
-    start, end = (np.array([straight.take(pixel) for straight in plane.maps])
-                  for pixel in (first, first + 2 * half * step))
-    return np.array((start, (end - start) / (2 * half)))
+    memory[1] *= 2 * half
+    memory[1] += memory[0]
+    place = plane.map.take(memory, axis=0)  # of first and last pixels
+    place[1] -= place[0]
+    place[1] *= 0.5 / half
+    return place.transpose(0, 2, 1).copy()

@@ -43,13 +43,14 @@ class SideLevels:
             sigmas.append(math.sqrt(variance) * inside / abs(contrast))
         return np.array(levels), np.array(sigmas)
 
-    def learn(self, edges: Edges, weight: np.ndarray, strips: Strips | None, half: int) -> None:
-        """Take in the grey levels that a good fit has found."""
+    def learn(self, edges: Edges, weight: np.ndarray, strips: Strips | None, half: int,
+              pictures: int = 1) -> None:
+        """Take in the grey levels that a good fit has found so many pictures after the last."""
         good = weight > GOOD_WEIGHT
         if not good.any():
             return
         self._inside = middle((edges.outside + edges.contrast)[good])
-        self._variance = [min(variance + DRIFT_SIGMA ** 2, FIRST_SIGMA ** 2)
+        self._variance = [min(variance + pictures * DRIFT_SIGMA ** 2, FIRST_SIGMA ** 2)
                           for variance in self._variance]
         seen = np.bincount(edges.side, good, 4).tolist()
         sums = np.bincount(edges.side, good * edges.outside, 4).tolist()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from homography_servo.tracking.lines import Layout
 from homography_servo.tracking.profile import along_line
 from homography_servo.tracking.profile import EdgeProfile
 from homography_servo.tracking.scan import Geometry
@@ -33,7 +32,7 @@ def cut_corners(scan: Scan, geometry: Geometry, profile: EdgeProfile, distance: 
         Distance of each line's first pixel from its side, and its change [px].
     edge : (2, k, n + c) array
         Share and slope of every pixel for its side alone; those of the lines close to a
-        corner are changed in place.
+        corner are changed in place, and those of the same lines at the end used up.
 
     """
     layout, total = scan.layout, scan.layout.total
@@ -43,7 +42,8 @@ def cut_corners(scan: Scan, geometry: Geometry, profile: EdgeProfile, distance: 
         own *= cut_share
         return
     (share, slope), variance = own, profile.sigma_px ** 2
-    cut_slope *= _of_near_lines([-variance * cosine for cosine in cosines], layout)
+    cut_slope *= np.array([-variance * cosine for cosine in cosines],
+                          np.float32).take(layout.corner)
     left = along_line(len(scan.grey)) @ (distance[:, :near] / np.float32(variance))
     left *= cut_slope
     left += cut_share
@@ -58,11 +58,3 @@ def _corner_cosines(geometry: Geometry) -> list[float]:
     across, down = geometry.normal.tolist()
     return [u * before_u + v * before_v for u, before_u, v, before_v in zip(
         across, across[-1:] + across[:-1], down, down[-1:] + down[:-1])]
-
-
-def _of_near_lines(values: list[float], layout: Layout) -> np.ndarray:
-    """Give the lines close to a corner what belongs to it (c,); corners begin the sides."""
-    ends = []
-    for (_, ahead), first, last in zip(layout.facing, values, values[1:] + values[:1]):
-        ends += [first, last] if ahead else [last, first]
-    return np.array(ends, np.float32).repeat(layout.blocks[:len(ends)])
