@@ -98,10 +98,11 @@ class Camera:
             Pixels, ``inf`` beyond where the lens holds; their derivatives by the rays.
 
         """
+        distort, k, reach_squared = self._model.distort, self._coefficients, self._reach ** 2
         pixels, slopes = [], []
         for x, y in rays.tolist():
-            (u, v), (u_x, u_y, v_y) = self._model.distort(x, y, self._coefficients)
-            if x * x + y * y > self._reach ** 2:
+            (u, v), (u_x, u_y, v_y) = distort(x, y, k)
+            if x * x + y * y > reach_squared:
                 u = v = math.inf
             pixels.append((self.fx * u + self.cx, self.fy * v + self.cy))
             slopes.append((self.fx * u_x, self.fx * u_y, self.fy * u_y, self.fy * v_y))

@@ -3,9 +3,9 @@ Lens distortion as sensor_msgs/CameraInfo names it, with derivatives.
 
 Every model is a function ``model(x, y, k) -> (u, v), (u_x, u_y, v_y)`` of ideal normalised
 image coordinates, plain floats or arrays alike. No lens here turns a picture about a point,
-so that v_x = u_y. One Newton iteration, `undistort`, inverts them all. For plumb_bob see Brown, Decentering
-Distortion of Lenses (1966); for equidistant Kannala and Brandt, IEEE TPAMI 28(8),
-2006, DOI 10.1109/TPAMI.2006.153.
+so that v_x = u_y. One Newton iteration, `undistort`, inverts them all. For plumb_bob see
+Brown, Decentering Distortion of Lenses (1966); for equidistant Kannala and Brandt, IEEE
+TPAMI 28(8), 2006, DOI 10.1109/TPAMI.2006.153.
 """
 
 from __future__ import annotations

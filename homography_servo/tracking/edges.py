@@ -50,9 +50,13 @@ class Edges(NamedTuple):
     residual: np.ndarray  # mean squared deviation of the pixels from the model
     pixels: np.ndarray  # in the segment
     known: Known
-    common: float  # offset that all segments share
     second: SecondEdge | None
     layout: Layout  # of the lines that they were measured on
+
+    @property
+    def common(self) -> float:
+        """Give the offset that all segments share."""
+        return _mean(self.inward, _weights(self.variance))
 
     @property
     def single(self) -> np.ndarray:
@@ -126,7 +130,7 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
     if scale is not None:
         pixel = 1.0 / scale.take(layout.first_line)
         offset, variance = pixel * offset, pixel * pixel * variance
-    inward, common = _with_common(-offset, variance, sums, levels)
+    inward = _lengthened(-offset, variance, sums, levels)
     side = layout.segment_side
     second = None
     if back is not None:
@@ -135,8 +139,8 @@ def measure_edges(scan: Scan, corners: np.ndarray, profile: EdgeProfile,
         if scale is not None:
             second = second.in_plane(scale.take(layout.first_line.take(second.segment)))
     return Edges(side, slope_along / np.maximum(slope_slope, 1e-9),
-                 geometry.normal.take(side, axis=1), inward, variance,
-                 contrast, levels.outside, residual, sums.one, known, common, second, layout)
+                 geometry.normal.take(side, axis=1), inward, variance, contrast,
+                 levels.outside, residual, sums.one, known, second, layout)
 
 
 def line_distances(scan: Scan, geometry: Geometry
@@ -158,22 +162,32 @@ def line_distances(scan: Scan, geometry: Geometry
     return distance.astype(np.float32), scale
 
 
-def _with_common(inward: np.ndarray, variance: np.ndarray, sums: Sums,
-                 levels: Levels) -> tuple[np.ndarray, float]:
+def _lengthened(inward: np.ndarray, variance: np.ndarray, sums: Sums,
+                levels: Levels) -> np.ndarray:
     """
     Lengthen the offset that all segments share.
 
     Grey levels learnt from each other give in to an offset of all sides at once, so
     that its linear step comes out short by what was learnt.
     """
-    weight = 1.0 / np.maximum(variance, 0.25 * middle(variance))
-    total = float(np.add.reduce(weight))
-    common = float(weight @ inward) / total
-    doubtful = common * levels.known.doubt
+    doubt = levels.known.doubt
+    if doubt * float(np.maximum.reduce(np.abs(inward))) < SMALL_PX:
+        return inward
+    weight = _weights(variance)
+    doubtful = _mean(inward, weight) * doubt
     if abs(doubtful) < SMALL_PX:
-        return inward, common
-    learnt = float(weight @ (levels.slope_left / left_alone(sums, levels.known))) / total - 1.0
-    return inward + doubtful * learnt, common + doubtful * learnt
+        return inward
+    learnt = _mean(levels.slope_left / left_alone(sums, levels.known), weight) - 1.0
+    return inward + doubtful * learnt
+
+
+def _weights(variance: np.ndarray) -> np.ndarray:
+    """Weigh offsets; a lucky residual does not make one much surer."""
+    return 1.0 / np.maximum(variance, 0.25 * middle(variance))
+
+
+def _mean(values: np.ndarray, weight: np.ndarray) -> float:
+    return float(weight @ values) / float(np.add.reduce(weight))
 
 
 def _sums(scan: Scan, parts: np.ndarray) -> Sums:

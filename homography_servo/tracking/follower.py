@@ -235,14 +235,14 @@ class Follower:
         """Doubt a fit that was found with a prior."""
         settings, following = self.settings, self.following
         doubt = weak_support(fit, settings) or surprise(fit, prior, settings, following)
-        if not doubt and (min(fit.judged.side_share.tolist()) <= CLEAR_SIDE
+        if not doubt and (fit.judged.least_side_share <= CLEAR_SIDE
                           or self._accepted % SELDOM == 0):
             doubt = self._face.doubt(fit.corners, settings) or self._elsewhere(image, fit)
         return Rejected(doubt) if doubt else fit
 
     def _elsewhere(self, image: np.ndarray, fit: SnakeFit) -> str:
         """Compare with how the face looked where a side shows no edge; it may be hidden."""
-        if not self.following or min(fit.judged.side_share.tolist()) > SEEN_SIDE \
+        if not self.following or fit.judged.least_side_share > SEEN_SIDE \
                 or not self._locator.beside(image, self._plane.to_image(fit.corners)):
             return ''
         return 'the face looks to be beside the edges that were found'

@@ -32,8 +32,6 @@ class Quality:
     ----------
     inlier_share : float
         Share of all lines that agree with the shape.
-    side_share : (m,) array
-        The same of the lines of each side.
     contrast : float
         Median of inside minus outside over the inliers [grey levels].
 
@@ -49,14 +47,24 @@ class Quality:
             self._inlier = inlier
             supported = np.bincount(edges.layout.segment_side, edges.layout.lines * inlier,
                                     len(total)).tolist()
-        self.side_share = np.array([part / max(whole, 1) for part, whole in zip(supported, total)])
+        self._side_share = [part / max(whole, 1) for part, whole in zip(supported, total)]
         self.inlier_share = sum(supported) / sum(total)
         self.contrast = middle(edges.contrast[self._inlier]) if self.inlier_share else 0.0
 
     @property
     def enough_sides(self) -> bool:
         """Tell whether so many sides are seen that the others follow from them."""
-        return sum(share > SEEN_SIDE for share in self.side_share.tolist()) >= SIDES_NEEDED
+        return sum([share > SEEN_SIDE for share in self._side_share]) >= SIDES_NEEDED
+
+    @property
+    def least_side_share(self) -> float:
+        """Give the share of the side whose lines agree the least."""
+        return min(self._side_share)
+
+    @cached_property
+    def side_share(self) -> np.ndarray:
+        """Give the share (m,) of each side's lines that agree with the shape."""
+        return np.array(self._side_share)
 
     @cached_property
     def residual(self) -> float:

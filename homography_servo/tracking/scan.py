@@ -53,12 +53,7 @@ class Scan(NamedTuple):
 
 def side_geometry(corners: np.ndarray) -> Geometry:
     """Describe the sides of a polygon (m, 2); in plain floats, for there are so few."""
-    return _side_geometry(corners.tobytes())
-
-
-@lru_cache(maxsize=4)  # one picture asks again for the same corners
-def _side_geometry(corners: bytes) -> Geometry:
-    points, rows = np.frombuffer(corners).reshape(-1, 2).tolist(), []
+    points, rows = corners.tolist(), []
     for (u, v), (next_u, next_v) in zip(points, points[1:] + points[:1]):
         along_u, along_v = next_u - u, next_v - v
         length = math.sqrt(along_u * along_u + along_v * along_v) + 1e-12

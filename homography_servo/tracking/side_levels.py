@@ -28,6 +28,7 @@ class SideLevels:
         self._variance = [FIRST_SIGMA ** 2] * 4
         self._inside: float | None = None
         self._outside = [0.0] * 4
+        self._relative: tuple[np.ndarray, np.ndarray] | None = None  # of the present levels
 
     @property
     def known(self) -> bool:
@@ -36,12 +37,15 @@ class SideLevels:
 
     def relative(self) -> tuple[np.ndarray, np.ndarray]:
         """Give the brightness (4,), 0 as outside and 1 as the face, and its deviation (4,)."""
+        if self._relative is not None:
+            return self._relative
         inside, levels, sigmas = required(self._inside, 'level of the face'), [], []
         for level, variance, outside in zip(self._level, self._variance, self._outside):
             contrast = inside - outside if abs(inside - outside) >= 1.0 else 1.0
             levels.append(min(max((level * inside - outside) / contrast, -1.0), 2.0))
             sigmas.append(math.sqrt(variance) * inside / abs(contrast))
-        return np.array(levels), np.array(sigmas)
+        self._relative = np.array(levels), np.array(sigmas)
+        return self._relative
 
     def learn(self, edges: Edges, weight: np.ndarray, strips: Strips | None, half: int,
               pictures: int = 1) -> None:
@@ -49,6 +53,7 @@ class SideLevels:
         good = weight > GOOD_WEIGHT
         if not good.any():
             return
+        self._relative = None
         self._inside = middle((edges.outside + edges.contrast)[good])
         self._variance = [min(variance + pictures * DRIFT_SIGMA ** 2, FIRST_SIGMA ** 2)
                           for variance in self._variance]

@@ -77,11 +77,11 @@ def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = I
         if not sound(fit.corners):
             return Rejected('the polygon folded')
         corners, far_px = fit.corners, far_px + fit.moved_px
-        steady = abs(edges.common) < SAME_LEVELS_PX and fit.moved_px < MOST_STEADY_PX
-        known = edges.known if steady else None
         sigma_px = math.sqrt(sum(fit.covariance.diagonal().tolist()) / corners.size)
         if fit.moved_px < min(look.done_sigmas * sigma_px, MOST_DONE_PX):
             break
+        steady = abs(edges.common) < SAME_LEVELS_PX and fit.moved_px < MOST_STEADY_PX
+        known = edges.known if steady else None
         if strips is not None:
             strips = strips._replace(width=strips.width + strips.rows @ fit.step)
     return fit._replace(quality=Quality(fit.edges, fit.weight, fit.miss), scan=scan, strips=strips)
