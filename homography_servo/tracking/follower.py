@@ -205,7 +205,7 @@ class Follower:
         if fit.by_print:
             return  # its edges are too weak to learn from
         self._shape.learn(fit)
-        if self._accepted <= REFOCUS_FIRST or self._accepted % REFOCUS_EVERY == SELDOM - 1:
+        if self._accepted <= REFOCUS_FIRST or self._accepted % REFOCUS_EVERY == SELDOM + 1:
             clean = (fit.weight > INLIER_WEIGHT) & fit.edges.single
             self.blur_px = refocus(required(fit.scan, 'scan'), fit.corners, clean, self.blur_px)
 
