@@ -31,10 +31,15 @@ def weak_support(fit: SnakeFit, settings: TrackerSettings) -> str:
         return 'fewer than three sides are visible'
     if fit.moved_px > SETTLED_PX:
         return f'the fit has not settled: it moves by {fit.moved_px:.1f} px'
-    sigma_px = max(fit.covariance.diagonal().tolist()) ** 0.5
+    sigma_px = corner_sigma_px(fit)
     if sigma_px > settings.max_corner_sigma_px:
         return f'a corner is uncertain by {sigma_px:.2f} px'
     return ''
+
+
+def corner_sigma_px(fit: SnakeFit) -> float:
+    """Give the standard deviation of the least certain corner [px]."""
+    return max(fit.covariance.diagonal().tolist()) ** 0.5
 
 
 def surprise(fit: SnakeFit, prior: Prior, settings: TrackerSettings, following: bool) -> str:

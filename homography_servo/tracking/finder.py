@@ -1,16 +1,15 @@
 """
 Find the face in a picture without being told where it is.
 
-Two searches take turns, the surest and quickest look first:
+Two searches take turns, the surest and quickest one first:
 
 1. Straight edges are put together to views of the face and compared with the picture,
    the sides of the box behind included (`edge_search`), quickly and, if need be, once
    more thoroughly. It knows best among other things, and finds a face of which a side is
-   hidden. The print on a face or noise may mislead it: it is believed at once only where
-   much speaks for the face.
-2. Regions of like grey level are looked through (`region_search`): a print on the face
-   and noise matter little to it. It is believed where it is convinced.
-3. What the edges showed is taken, or else what the regions did.
+   hidden. Where it finds nothing, a print on the face or noise may mislead it.
+2. Then regions of like grey level are looked through (`region_search`): a print on the
+   face and noise matter little to it. It is believed where it is convinced; else the
+   edges along what it shows are asked as well.
 
 A rectangle looks the same after half a turn. Which corner comes first is decided by
 the expected corners where they are given, else by taking the turn whose top side
@@ -23,8 +22,10 @@ from homography_servo.geometry.camera import Camera
 from homography_servo.result import Rejected
 from homography_servo.tracking.detection.edge_search import BELIEVED_ODDS
 from homography_servo.tracking.detection.edge_search import EdgeSearch
+from homography_servo.tracking.detection.edge_search import LEAST_ODDS
 from homography_servo.tracking.detection.edge_search import QUICK
 from homography_servo.tracking.detection.edge_search import THOROUGH
+from homography_servo.tracking.detection.region_check import LEAST_SCORE
 from homography_servo.tracking.detection.region_search import CONVINCING
 from homography_servo.tracking.detection.region_search import find_by_regions
 from homography_servo.tracking.plane import Plane
@@ -70,15 +71,18 @@ def find_face(image: np.ndarray, target: Target, plane: Plane,
 
 def _search(image: np.ndarray, target: Target, plane: Plane) -> Found | Rejected:
     edges = EdgeSearch(image, target, plane)
-    by_edges: Found | Rejected = Rejected('nobody has looked yet')
-    for effort in (QUICK, THOROUGH):
-        by_edges = edges.best(effort)
-        if not isinstance(by_edges, Rejected) and by_edges.merit > BELIEVED_ODDS:
-            return by_edges
+    by_edges = edges.best(QUICK)
+    if isinstance(by_edges, Rejected) or by_edges.merit < BELIEVED_ODDS:
+        by_edges = edges.best(THOROUGH)
+    if not isinstance(by_edges, Rejected):
+        return by_edges
     by_regions = find_by_regions(image, target, plane)
-    if not isinstance(by_regions, Rejected) and by_regions.merit > CONVINCING:
+    if isinstance(by_regions, Rejected) or by_regions.merit > CONVINCING:
         return by_regions
-    return by_edges or by_regions
+    told = BELIEVED_ODDS * (by_regions.merit - LEAST_SCORE) / (CONVINCING - LEAST_SCORE)
+    if told + edges.odds(by_regions.fit.corners) < LEAST_ODDS:
+        return Rejected('neither regions nor edges show what surely is the face')
+    return by_regions
 
 
 def _typical_plane(shape: tuple[int, ...]) -> Plane:

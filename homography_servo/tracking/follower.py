@@ -5,6 +5,9 @@ from __future__ import annotations
 from homography_servo.result import Rejected
 from homography_servo.result import required
 from homography_servo.tracking.box import BoxSides
+from homography_servo.tracking.detection.box_fit import held_by_box
+from homography_servo.tracking.detection.box_views import box_points
+from homography_servo.tracking.detection.outlook import smoothed
 from homography_servo.tracking.doubts import FaceCheck
 from homography_servo.tracking.doubts import surprise
 from homography_servo.tracking.doubts import weak_support
@@ -66,6 +69,7 @@ class Follower:
         self._box: BoxSides | None = None
         if box_height_m > 0.0 and plane.camera is not None:
             self._box = BoxSides(face_size_m, box_height_m, plane)
+        self._points_m = box_points(face_size_m, box_height_m)
         self._locator, self._accepted = Locator(), 0
         self._unlearnt = 0  # pictures that have not told the levels of the box's sides
         self._face, self._shape = FaceCheck(face_size_m, plane), FaceShape(face_size_m, plane)
@@ -123,6 +127,9 @@ class Follower:
         for corners in (prior.corners, located):
             if not fit and corners is not None:
                 fit = self._by_print(image, corners, prior)
+        told = None if fit else self._told_by_box(image, prior.corners)
+        if told is not None:
+            fit = self._fine(image, both(prior, told))
         return fit or why
 
     def capture(self, image: np.ndarray, prior: Prior, told: bool = False) -> SnakeFit | Rejected:
@@ -161,12 +168,25 @@ class Follower:
 
     def settle(self, image: np.ndarray, fit: SnakeFit) -> SnakeFit | Rejected:
         """Learn blur and the levels of the box's sides from a first fit, and fit again."""
-        scan = read_scan(image, fit.corners, self._plane, FOCUS_HALF)
+        settled = self._settled(image, fit)
+        if settled:
+            return settled
+        told = self._told_by_box(image, fit.corners)
+        return settled if told is None else self._settled(image, fit, told) or settled
+
+    def _settled(self, image: np.ndarray, first: SnakeFit,
+                 box: Prior | None = None) -> SnakeFit | Rejected:
+        """Settle with what the edges of the box tell, if they are asked."""
+        def near(corners: np.ndarray) -> Prior:
+            shape = shape_prior(corners, GIVEN_SHAPE_SIGMA_PX)
+            return shape if box is None else both(shape, box)
+
+        scan, fit = read_scan(image, first.corners, self._plane, FOCUS_HALF), first
         if scan is not None:
             self.blur_px = first_focus(scan, fit.corners)
         for _ in range(MOST_ROUNDS):
             self._learn_sides(fit)
-            again = self._sharp(image, shape_prior(fit.corners, GIVEN_SHAPE_SIGMA_PX))
+            again = self._sharp(image, near(fit.corners))
             if isinstance(again, Rejected):
                 return again
             begun = (again.strips is None) != (fit.strips is None)  # to look at the sides
@@ -174,12 +194,15 @@ class Follower:
             before, fit = fit, again
             if not begun and not weak_support(fit, self.settings):
                 break
+        far_px = float(np.abs(fit.corners - first.corners).max())
+        if far_px > self.settings.edge_half_px:  # edges that the first fit has not seen
+            return Rejected(f'the fit runs away, by {far_px:.1f} px')
         if steady:
-            done = self._trusted(image, fit, shape_prior(before.corners, GIVEN_SHAPE_SIGMA_PX))
+            done = self._trusted(image, fit, near(before.corners))
             if done:
                 return done
         self._learn_sides(fit)
-        return self._fine(image, shape_prior(fit.corners, GIVEN_SHAPE_SIGMA_PX))
+        return self._fine(image, near(fit.corners))
 
     def _learn_sides(self, fit: SnakeFit, pictures: int = 1) -> None:
         if self._box is not None:
@@ -230,6 +253,11 @@ class Follower:
         """Fit to all pixels of the edges, and doubt what comes out."""
         fit = self._sharp(image, prior)
         return fit if isinstance(fit, Rejected) else self._trusted(image, fit, prior)
+
+    def _told_by_box(self, image: np.ndarray, corners: np.ndarray) -> Prior | None:
+        """Let the edges of the box tell where corners are that have no edges of their own."""
+        return None if self._box is None \
+            else held_by_box(smoothed(image), corners, self._points_m, self._plane)
 
     def _trusted(self, image: np.ndarray, fit: SnakeFit, prior: Prior) -> SnakeFit | Rejected:
         """Doubt a fit that was found with a prior."""

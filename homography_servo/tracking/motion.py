@@ -105,8 +105,9 @@ def _unit(size: int) -> np.ndarray:
 def both(first: Prior, second: Prior) -> Prior:
     """Combine two priors that are independent of each other."""
     away = (second.corners - first.corners).ravel()
+    pull = second.information @ away
     return Prior(first.corners, first.information + second.information, first.free,
-                 second.information @ away)
+                 pull if first.pull is None else first.pull + pull)
 
 
 def similarity_basis(corners: np.ndarray) -> np.ndarray:

@@ -7,9 +7,10 @@ from homography_servo.geometry.face import face_corners
 from homography_servo.simulation.scene import Scene
 from homography_servo.simulation.scene_settings import SceneSettings
 from homography_servo.tracking.detection.beside import faces_beside
+from homography_servo.tracking.detection.box_fit import held_by_box
+from homography_servo.tracking.detection.box_fit import nearer
 from homography_servo.tracking.detection.box_views import box_points
 from homography_servo.tracking.detection.box_views import look_at
-from homography_servo.tracking.detection.box_views import nearer
 from homography_servo.tracking.detection.box_views import odds
 from homography_servo.tracking.detection.outlook import look_across
 from homography_servo.tracking.detection.outlook import Picture
@@ -219,6 +220,21 @@ def test_rough_views_move_to_the_edges():
     for _ in range(3):
         views = nearer(views, look_at(picture, views, points_m, PLANE), points_m, PLANE)
     assert np.abs(views.corners[0] - truth).max() < 1.0
+
+
+def test_the_edges_of_the_box_tell_how_long_the_face_is():
+    image = Scene(CAMERA, FACE_M, 0.04, SceneSettings()).render(TILTED, 0.0, 0).image_grey
+    points_m = box_points(FACE_M, 0.04)
+    truth = projected(TILTED, face_corners(*FACE_M))
+    longer = 0.03 * (truth[1] - truth[0] + truth[2] - truth[3])  # as if a side had no edge
+    away = np.array([0.0 * longer, longer, longer, 0.0 * longer])
+    told = held_by_box(smoothed(image), truth + away, points_m, PLANE)
+    assert np.abs(away).max() > 3.0
+    assert np.abs(told.corners - truth).max() < 1.0
+    along = away.ravel() / np.linalg.norm(away)
+    assert along @ told.information @ along > 1.0  # per px^2
+    assert held_by_box(smoothed(image), truth, points_m[:4], PLANE) is None
+    assert held_by_box(smoothed(image), np.zeros((4, 2)), points_m, PLANE) is None
 
 
 def test_nothing_in_nothing_out():

@@ -1,5 +1,5 @@
 """
-Compare many views of the box with the picture at once, and move them to fit it.
+Compare many views of the box with the picture at once.
 
 The face must end at its four sides. Behind a side that shows there is a side of the
 box, of one grey level, another one than the face's; it must end where the pose of the
@@ -19,8 +19,6 @@ from homography_servo.tracking.detection.outlook import Outlook
 from homography_servo.tracking.detection.outlook import Picture
 from homography_servo.tracking.detection.outlook import Rows
 from homography_servo.tracking.detection.outlook import rows_across
-from homography_servo.tracking.detection.views import linearise
-from homography_servo.tracking.detection.views import moved
 from homography_servo.tracking.detection.views import projected
 from homography_servo.tracking.detection.views import Views
 from homography_servo.tracking.plane import Plane
@@ -33,7 +31,6 @@ STRIP_FROM, STRIP_FROM_PX = 0.6, 6.0  # of its width, and at most: where its lev
 UNEVEN_GREY = 9.0  # along a side of the face, in uneven light
 OFF_PX = 2.2  # from the face
 NARROWEST_PX, WIDE_PX = 2.8, 5.0  # of a side of the box that tells nothing, and all
-ROUGH_PX, NEAR_PX = 4.0, 1.0  # scatter of corners, and of places that agree
 # Logarithms of how much likelier something is with the face and its box than without:
 # that all sides of the face show, and what is lost where none does; that a side of the
 # box ends where it must, over that it does not; that it does not. Where none is in view
@@ -160,43 +157,6 @@ def face_merit(face: Outlook, reach_px: float) -> np.ndarray:
     shown = support.mean(axis=1)
     rated = (1.0 - WEAKEST) * shown + WEAKEST * support.min(axis=1) - BROKEN * broken
     return np.where(face.even & (shown > SHOWN), np.maximum(rated, 0.0), 0.0)
-
-
-def nearer(views: Views, seen: BoxOutlook, points_m: np.ndarray, plane: Plane) -> Views:
-    """
-    Move views to where the grey levels were found to change.
-
-    Places that disagree count less; what no place shows stays as it was.
-    """
-    slope = linearise(points_m, views.rotation, views.translation)[1]
-    slope = slope.reshape(len(slope), len(points_m), 2, 6) * plane.focal[:, None]
-    corners = projected(points_m, views.rotation, views.translation, plane)
-    rows, inward, weight = [], [], []
-    for part, outlook, sure in ((slice(0, 4), seen.face, np.ones(seen.sure.shape)),
-                                (slice(4, 8), seen.back, seen.sure)):
-        if outlook is None:
-            continue
-        normal, own = edges_and_normals(corners[:, part])[1][..., None], slope[:, part]
-        begin, end = ((normal * side).sum(axis=2)[:, :, None] for side in (own, own[:, AFTER]))
-        count = own.shape[0], 4 * len(outlook.share)
-        rows.append((begin + outlook.share[:, None] * (end - begin)).reshape(*count, 6))
-        inward.append(outlook.inward_px.reshape(count))
-        weight.append((outlook.shown * sure[..., None]).reshape(count))
-    step = _step(np.concatenate(rows, axis=1), np.concatenate(inward, axis=1),
-                 np.concatenate(weight, axis=1), slope[:, :4].reshape(len(slope), 8, 6))
-    return moved(views, step, points_m[:4], plane)
-
-
-def _step(rows: np.ndarray, inward: np.ndarray, weight: np.ndarray,
-          corners: np.ndarray) -> np.ndarray:
-    """Solve robustly for the steps (n, 6) that bring edges to where they were seen."""
-    held = corners.transpose(0, 2, 1) @ corners / ROUGH_PX ** 2 + 1e-6 * np.eye(6)
-    miss = inward
-    for scatter_px in (ROUGH_PX, NEAR_PX, NEAR_PX):
-        weighted = rows.transpose(0, 2, 1) * (weight / (1.0 + (miss / scatter_px) ** 2))[:, None]
-        step = np.linalg.solve(weighted @ rows + held, weighted @ inward[..., None])
-        miss = inward - (rows @ step)[..., 0]
-    return step[..., 0]
 
 
 def box_points(face_size_m: tuple[float, float], height_m: float) -> np.ndarray:

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from homography_servo.tracking.detection.box_fit import nearer
 from homography_servo.tracking.detection.box_views import box_points
 from homography_servo.tracking.detection.box_views import face_merit
 from homography_servo.tracking.detection.box_views import look_at
-from homography_servo.tracking.detection.box_views import nearer
 from homography_servo.tracking.detection.box_views import odds
 from homography_servo.tracking.detection.box_views import only_face
 from homography_servo.tracking.detection.outlook import look_across
@@ -40,7 +40,7 @@ LEAST_IMAGE_PX = 16
 ROUGH_MISS_PX, ROUGH_MISS = 3.0, 0.03  # of rough corners from a view, and by its size
 ROUGH_SHARES, ROUGH_PX, ROUGH_READ = np.linspace(0.12, 0.88, 4), 9.0, 7
 CLOSE_PX = 4.0  # from an edge to the farthest change that supports it
-ROUGH_SAME_PX, SAME_PX = 7.0, 4.0
+SAME_PX = 4.0
 
 
 class Effort(NamedTuple):
@@ -51,6 +51,7 @@ class Effort(NamedTuple):
     near: int
     fitted: int
     clear_odds: float  # those whose logarithm is lower by this than the best are left out
+    same_px: float  # of views whose outlines differ by less, at first, the best is enough
 
 
 class Candidates(NamedTuple):
@@ -129,7 +130,7 @@ def find_candidates(picture: Picture, rough: RoughViews, target: Target, plane: 
 
     """
     points_m = box_points(target.face_size_m, target.box_height_m)
-    chosen = _distinct(rough.views, rough.merit, effort.rough, ROUGH_SAME_PX)
+    chosen = _distinct(rough.views, rough.merit, effort.rough, effort.same_px)
     views = nearer(rough.views.chosen(chosen), only_face(rough.seen.chosen(chosen)), points_m[:4],
                    plane)
     seen = look_at(picture, views, points_m[:4], plane)

@@ -9,6 +9,8 @@ looked for as well.
 
 from __future__ import annotations
 
+import math
+
 from homography_servo.result import Rejected
 from homography_servo.tracking.detection.beside import find_beside
 from homography_servo.tracking.detection.candidates import Effort
@@ -23,11 +25,11 @@ from homography_servo.tracking.target import Target
 import numpy as np
 
 APART_ODDS = 0.4  # by which the logarithm must be better than that of the next best one
-# Logarithms: 150 to 1 for the face, which it is; 30 to 1, better than other searches;
-# 4 to 1, better than nothing.
+# Logarithms: 150 to 1 for the face, which it is; 30 to 1, which a face needs of which one
+# side does not show at all, as three sides are found in many things; 4 to 1, better than nothing.
 SURE_ODDS, BELIEVED_ODDS, LEAST_ODDS = 5.0, 3.5, 1.5
-QUICK = Effort(150, 12, 6, 3, 2.5)  # mostly suffices
-THOROUGH = Effort(1000, 32, 14, 6, 2.5)
+QUICK = Effort(150, 12, 6, 3, 2.5, 7.0)  # mostly suffices
+THOROUGH = Effort(1000, 200, 100, 6, 2.5, 3.0)
 ELSEWHERE_PX = 10.0  # from the middle of the best one to that of another thing
 
 
@@ -69,6 +71,11 @@ class EdgeSearch:
                 return beside._replace(merit=SURE_ODDS)  # face and side agree
         return best
 
+    def odds(self, corners: np.ndarray) -> float:
+        """Give the logarithm of the odds that corners (4, 2) found otherwise are the face's."""
+        checked = self._check(corners)
+        return -math.inf if isinstance(checked, Rejected) else checked.merit
+
     def _check(self, corners: np.ndarray) -> Found | Rejected:
         """Check a candidate, once."""
         key = corners.tobytes()
@@ -90,7 +97,8 @@ def _best(found: list[Found]) -> Found | Rejected:
     if not found:
         return Rejected('the edges do not support any view of the face')
     best = max(found, key=lambda one: one.merit)
-    if best.merit < LEAST_ODDS:
+    all_show = min(best.fit.judged.side_share.tolist()) > 0.0
+    if best.merit < (LEAST_ODDS if all_show else BELIEVED_ODDS):
         return Rejected('the best quadrilateral does not look like the face and its box')
     if any(one.merit > best.merit - APART_ODDS and _apart(one, best) > ELSEWHERE_PX
            for one in found):

@@ -168,8 +168,13 @@ def rows_across(corners: np.ndarray, share: np.ndarray) -> Rows:
 def edges_and_normals(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Give the sides (n, 4, 2) of quadrilaterals and their unit vectors inwards."""
     edge = corners[:, AFTER] - corners
+    return edge, inward_normals(edge)
+
+
+def inward_normals(edge: np.ndarray) -> np.ndarray:
+    """Give unit vectors to the inside of edges (..., 2) that run clockwise on the screen."""
     length = np.sqrt((edge * edge).sum(axis=-1, keepdims=True))
-    return edge, edge[..., ::-1] * (-1.0, 1.0) / np.maximum(length, 1e-9)
+    return edge[..., ::-1] * (-1.0, 1.0) / np.maximum(length, 1e-9)
 
 
 def median(values: np.ndarray) -> np.ndarray:

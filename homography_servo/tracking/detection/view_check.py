@@ -15,12 +15,15 @@ import math
 from homography_servo.result import Rejected
 from homography_servo.tracking.box import BoxSides
 from homography_servo.tracking.box import RIGID_SIGMA_PX
+from homography_servo.tracking.detection.box_fit import held_by_box
 from homography_servo.tracking.detection.box_views import box_points
 from homography_servo.tracking.detection.box_views import look_at
 from homography_servo.tracking.detection.box_views import odds
 from homography_servo.tracking.detection.outlook import Picture
 from homography_servo.tracking.detection.side_fit import fit_with_sides
 from homography_servo.tracking.detection.views import Views
+from homography_servo.tracking.doubts import corner_sigma_px
+from homography_servo.tracking.motion import both
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import Look
 from homography_servo.tracking.polygon_fit import Prior
@@ -33,6 +36,8 @@ import numpy as np
 GUESSED_SIGMA = 0.01  # of the corners about a view through a guessed lens, by the size
 CLOSEST_PX = 2.5  # from an edge to the farthest change that supports it
 HALF, STEPS = 5, 3
+CLEAR_ODDS = 3.5  # logarithm from which on there is no need for another fit
+FREE_PX = 1.0  # standard deviation of a corner that a side without an edge leaves free
 LEAST_INLIERS = 0.5
 # RMS of what a view misses of free corners: of the face, and how much more of other things.
 OWN_MISS_PX, OTHER_MISS_PX = 0.1, 0.35
@@ -61,8 +66,24 @@ def check_view(picture: Picture, corners: np.ndarray, target: Target,
         Its merit is the logarithm of how much likelier it is the face than not.
 
     """
+    found = _weighed(picture, corners, target, plane)
+    if not isinstance(found, Rejected) and found.merit > CLEAR_ODDS \
+            and corner_sigma_px(found.fit) < FREE_PX:
+        return found
+    points_m = box_points(target.face_size_m, target.box_height_m)
+    told = None if target.guessed_lens else held_by_box(picture, corners, points_m, plane)
+    held = Rejected('no box holds it') if told is None \
+        else _weighed(picture, corners, target, plane, told)
+    if isinstance(held, Rejected) or isinstance(found, Rejected):
+        return held or found
+    return held if held.merit > found.merit else found
+
+
+def _weighed(picture: Picture, corners: np.ndarray, target: Target, plane: Plane,
+             told: Prior | None = None) -> Found | Rejected:
+    """Fit a candidate, held by what the edges of the box tell, and weigh it."""
     box = BoxSides(target.face_size_m, target.box_height_m, plane)
-    fit = _held_fit(picture.grey, corners, box, target, plane)
+    fit = _held_fit(picture.grey, corners, box, target, plane, told)
     if isinstance(fit, Rejected):
         return fit
     quality = fit.judged
@@ -79,19 +100,23 @@ def check_view(picture: Picture, corners: np.ndarray, target: Target,
 
 
 def _held_fit(image: np.ndarray, corners: np.ndarray, box: BoxSides, target: Target,
-              plane: Plane) -> SnakeFit | Rejected:
+              plane: Plane, told: Prior | None) -> SnakeFit | Rejected:
     """Fit a view of the face, and again with the sides of the box."""
+    def held(rigid: Prior) -> Prior:
+        softer = _softer(rigid, target)
+        return softer if told is None else both(softer, told)
+
     outline = box.outline(corners)
     if isinstance(outline, Rejected):
         return outline
     look = Look(target.blur_px, HALF, iterations=STEPS)
-    fit = fit_snake(image, corners, look, plane, _held(outline.rigid, target), target.polarity)
+    fit = fit_snake(image, corners, look, plane, held(outline.rigid), target.polarity)
     if isinstance(fit, Rejected):
         return fit
-    return fit_with_sides(image, fit, box, look, target, plane, lambda rigid: _held(rigid, target))
+    return fit_with_sides(image, fit, box, look, target, plane, held)
 
 
-def _held(rigid: Prior, target: Target) -> Prior:
+def _softer(rigid: Prior, target: Target) -> Prior:
     """Hold corners to a view of the face as firmly as the lens is known."""
     if not target.guessed_lens:
         return rigid
