@@ -24,6 +24,7 @@ from homography_servo.tracking.detection.edge_search import BELIEVED_ODDS
 from homography_servo.tracking.detection.edge_search import EdgeSearch
 from homography_servo.tracking.detection.edge_search import LEAST_ODDS
 from homography_servo.tracking.detection.edge_search import QUICK
+from homography_servo.tracking.detection.edge_search import SURE_ODDS
 from homography_servo.tracking.detection.edge_search import THOROUGH
 from homography_servo.tracking.detection.region_check import LEAST_SCORE
 from homography_servo.tracking.detection.region_search import CONVINCING
@@ -79,7 +80,8 @@ def _search(image: np.ndarray, target: Target, plane: Plane) -> Found | Rejected
     by_regions = find_by_regions(image, target, plane)
     if isinstance(by_regions, Rejected) or by_regions.merit > CONVINCING:
         return by_regions
-    told = BELIEVED_ODDS * (by_regions.merit - LEAST_SCORE) / (CONVINCING - LEAST_SCORE)
+    # From nothing to what ends a search; the edges' odds are something else that speaks for it.
+    told = SURE_ODDS * (by_regions.merit - LEAST_SCORE) / (CONVINCING - LEAST_SCORE)
     if told + edges.odds(by_regions.fit.corners) < LEAST_ODDS:
         return Rejected('neither regions nor edges show what surely is the face')
     return by_regions

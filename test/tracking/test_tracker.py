@@ -4,6 +4,7 @@ from dataclasses import replace
 import gc
 import tracemalloc
 
+import cv2
 from face_views import BENT
 from face_views import CAMERA
 from face_views import FACE_M
@@ -238,3 +239,22 @@ def test_no_picture_raises_or_is_taken_for_the_face(image):
         track = tracker.update(image, index / RATE_HZ, np.array(
             [[300.0, 200.0], [400.0, 200.0], [400.0, 260.0], [300.0, 260.0]]))
         assert track.corners_px is None and track.reason
+
+
+def test_a_side_without_an_edge_follows_from_the_box():
+    rng, tracks = np.random.default_rng(4), []
+    frame = Scene(CAMERA, FACE_M, 0.04, SceneSettings()).render(
+        pose(tilt_x=-30.0, tilt_y=-25.0, turn=12.0), 0.0, 0)
+    truth = frame.true_corners_px
+    first, second = truth[1:3]  # no side of the box shows there
+    edge = second - first
+    outwards = np.array([edge[1], -edge[0]])
+    behind = np.array([first - 0.2 * edge, first - 0.1 * edge + 0.6 * outwards,
+                       second + 0.3 * edge + 0.5 * outwards, second + 0.2 * edge])
+    image = cv2.fillPoly(frame.image_grey.copy(), [np.rint(behind).astype(np.int32)], 203)
+    tracker = Tracker(FACE_M, TrackerSettings(), CAMERA, 0.04)
+    for index in range(20):
+        noisy = np.clip(np.rint(image + rng.normal(0.0, 2.0, image.shape)), 0, 255)
+        tracks.append(tracker.update(noisy.astype(np.uint8), index / RATE_HZ))
+    assert {track.state for track in tracks[4:]} == {TRACKING}
+    assert all(np.abs(track.corners_px - truth).max() < 1.5 for track in tracks[4:])
