@@ -10,6 +10,7 @@ Two searches take turns, the surest and quickest one first:
 2. Then regions of like grey level are looked through (`region_search`): a print on the
    face and noise matter little to it. It is believed where it is convinced; else the
    edges along what it shows are asked as well.
+3. What the quick look found is taken where nothing else is found.
 
 A rectangle looks the same after half a turn. Which corner comes first is decided by
 the expected corners where they are given, else by taking the turn whose top side
@@ -72,19 +73,26 @@ def find_face(image: np.ndarray, target: Target, plane: Plane,
 
 def _search(image: np.ndarray, target: Target, plane: Plane) -> Found | Rejected:
     edges = EdgeSearch(image, target, plane)
-    by_edges = edges.best(QUICK)
-    if isinstance(by_edges, Rejected) or by_edges.merit < BELIEVED_ODDS:
-        by_edges = edges.best(THOROUGH)
-    if not isinstance(by_edges, Rejected):
-        return by_edges
-    by_regions = find_by_regions(image, target, plane)
-    if isinstance(by_regions, Rejected) or by_regions.merit > CONVINCING:
-        return by_regions
+    quickly = edges.best(QUICK)
+    if not isinstance(quickly, Rejected) and quickly.merit > BELIEVED_ODDS:
+        return quickly
+    # The thorough search lists other candidates first, and may lose what the quick one found.
+    return edges.best(THOROUGH) or _by_regions(image, edges, target, plane, quickly)
+
+
+def _by_regions(image: np.ndarray, edges: EdgeSearch, target: Target, plane: Plane,
+                otherwise: Found | Rejected) -> Found | Rejected:
+    """Look through the regions where edges are not sure."""
+    found = find_by_regions(image, target, plane)
+    if isinstance(found, Rejected):
+        return otherwise or found
+    if found.merit > CONVINCING:
+        return found
     # From nothing to what ends a search; the edges' odds are something else that speaks for it.
-    told = SURE_ODDS * (by_regions.merit - LEAST_SCORE) / (CONVINCING - LEAST_SCORE)
-    if told + edges.odds(by_regions.fit.corners) < LEAST_ODDS:
-        return Rejected('neither regions nor edges show what surely is the face')
-    return by_regions
+    told = SURE_ODDS * (found.merit - LEAST_SCORE) / (CONVINCING - LEAST_SCORE)
+    if told + edges.odds(found.fit.corners) < LEAST_ODDS:
+        return otherwise or Rejected('neither regions nor edges show what surely is the face')
+    return found
 
 
 def _typical_plane(shape: tuple[int, ...]) -> Plane:
