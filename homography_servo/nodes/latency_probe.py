@@ -2,7 +2,9 @@
 Watch the chain from image to command from outside, and time every step.
 
 Stamps are those of the images, carried through by every node, so the age of a
-message when it arrives here is the latency of the chain up to it, and one hop more.
+message when it arrives in this process is the latency of the chain up to it, and one hop
+more. The middleware notes when each message came; it is taken when all is over, for an
+onlooker that wakes up for every message would slow down what it looks at.
 """
 
 from __future__ import annotations
@@ -11,15 +13,20 @@ from bisect import bisect_left
 from bisect import bisect_right
 import struct
 import time
-from typing import Any, Callable
+from typing import Any
 
 from geometry_msgs.msg import PolygonStamped
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from homography_servo.nodes.kit import images_qos
+from homography_servo.nodes.quiet import make_quiet
+from homography_servo.nodes.quiet import waiting_messages
+from rclpy.qos import QoSProfile
+from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo
 from trajectory_msgs.msg import JointTrajectory
 
-SOONER_S = 0.001  # by which the bridge may hear a command before the probe does
+SOONER_S = 0.0005  # by which the bridge may hear a command before the probe does
+# Half a minute at the highest rate; an onlooker must not be waited for either.
+ALL_OF_A_RUN = QoSProfile(depth=4000, reliability=ReliabilityPolicy.BEST_EFFORT)
 _ENCAPSULATION = 4  # bytes before the first field of a serialized message
 
 
@@ -36,6 +43,7 @@ class LatencyProbe:
 
     ``ages_s`` maps each step to the ages of its messages; ``commands_s`` and
     ``looks`` hold arrival times on the steady clock, the latter with image stamps.
+    Nothing is known of what arrives outside of `begin` and `end`.
 
     Parameters
     ----------
@@ -49,32 +57,37 @@ class LatencyProbe:
 
     def __init__(self, node: Any, pose_after_s: float = 0.0) -> None:
         self._pose_after_s = pose_after_s
-        self.ages_s: dict[str, list[float]] = {'image_hop': [], 'corners': [], 'pose': []}
+        self.ages_s: dict[str, list[float]] = {}
         self.looks: list[tuple[float, float]] = []
         self.commands_s: list[float] = []
-        self.recording = False
         self._steady_from_wall_s = time.monotonic() - time.time()
-        # An onlooker must not be waited for, and takes no message apart but for its stamp.
-        for step, kind, topic in (('image_hop', CameraInfo, 'camera_info'),
-                                  ('corners', PolygonStamped, 'object/corners'),
-                                  ('pose', PoseWithCovarianceStamped, 'object/pose')):
-            node.create_subscription(kind, topic, self._timed(step), images_qos(False), raw=True)
-        node.create_subscription(JointTrajectory, 'joint_trajectory', self._on_command,
-                                 images_qos(False))
+        self._heard = {step: node.create_subscription(kind, topic, lambda _: None, ALL_OF_A_RUN,
+                                                      raw=step != 'command')
+                       for step, kind, topic in (
+                           ('image_hop', CameraInfo, 'camera_info'),
+                           ('corners', PolygonStamped, 'object/corners'),
+                           ('pose', PoseWithCovarianceStamped, 'object/pose'),
+                           ('command', JointTrajectory, 'joint_trajectory'))}
+        for subscription in self._heard.values():
+            make_quiet(subscription)
 
-    def _timed(self, step: str) -> Callable[[bytes], None]:
-        def take(serialized: bytes) -> None:
-            if not self.recording:
-                return
-            stamp_s = _stamp_s(serialized)
-            self.ages_s[step].append(time.time() - stamp_s)
-            if step == 'pose':
-                self.looks.append((time.monotonic(), stamp_s + self._steady_from_wall_s))
-        return take
+    def begin(self) -> None:
+        """Forget what has come so far."""
+        for subscription in self._heard.values():
+            for _ in waiting_messages(subscription):
+                pass
 
-    def _on_command(self, msg: JointTrajectory) -> None:
-        if self.recording and msg.points:
-            self.commands_s.append(time.monotonic())
+    def end(self) -> None:
+        """Take what has come since the beginning."""
+        came = {step: [(msg, 1e-9 * info['received_timestamp'])
+                       for msg, info in waiting_messages(subscription)]
+                for step, subscription in self._heard.items()}
+        self.commands_s = [time_s + self._steady_from_wall_s
+                           for msg, time_s in came.pop('command') if msg.points]
+        self.ages_s = {step: [time_s - _stamp_s(msg) for msg, time_s in pairs]
+                       for step, pairs in came.items()}
+        self.looks = [(time_s + self._steady_from_wall_s,
+                       _stamp_s(msg) + self._steady_from_wall_s) for msg, time_s in came['pose']]
 
     def command_ages_s(self) -> list[float]:
         """Give the age of the image behind each command when the command arrived."""

@@ -8,7 +8,7 @@ covariance is of no use before its corners: both can wait.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Iterator
 
 from rclpy.exceptions import InvalidHandle
 
@@ -25,8 +25,8 @@ def is_quiet(subscription: Any) -> bool:
     return getattr(subscription, _QUIET, False)
 
 
-def take_waiting(subscription: Any) -> None:
-    """Call the callback with every message that has come."""
+def waiting_messages(subscription: Any) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """Take what has come, each message with what the middleware tells about it."""
     while True:
         try:
             with subscription.handle:
@@ -35,4 +35,10 @@ def take_waiting(subscription: Any) -> None:
             return
         if taken is None:
             return
-        subscription.callback(taken[0])
+        yield taken
+
+
+def take_waiting(subscription: Any) -> None:
+    """Call the callback with every message that has come."""
+    for msg, _ in waiting_messages(subscription):
+        subscription.callback(msg)

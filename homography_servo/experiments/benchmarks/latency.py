@@ -93,9 +93,11 @@ def measure(rate_hz: float, poses: int, folder: Path, one_process: bool) -> dict
         client.stop_hearing(*NOT_HEARD)
         pids = node_pids(bringup.process.pid)
         before = {name: cpu_s(pid) for name, pid in pids.items()}
-        began_s, probe.recording = time.monotonic(), True
+        probe.begin()
+        began_s = time.monotonic()
         ending = servo(client, sentence, 120.0)
-        spent_s, probe.recording = time.monotonic() - began_s, False
+        spent_s = time.monotonic() - began_s
+        probe.end()
         usage = {f'{name}_cpu_share': (cpu_s(pid) - before[name]) / spent_s
                  for name, pid in pids.items()}
         memory = {f'{name}_memory_mb': memory_mb(pid) for name, pid in pids.items()}
