@@ -60,11 +60,22 @@ def case_bound_px(case: Case, frames: int, seed: int) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def run_case(case: Case, frames: int, seed: int, quick: bool) -> list[dict[str, Any]]:
-    """Run all methods over the same pictures, one method after the other."""
+def run_case(case: Case, frames: int, seed: int, quick: bool
+             ) -> tuple[list[dict[str, Any]], np.ndarray]:
+    """
+    Run all methods over the same pictures, one method after the other.
+
+    Returns
+    -------
+    rows : list of dict
+        One for each method.
+    times_s : (frames, 2) array
+        What our tracker took for each picture: wall and CPU time.
+
+    """
     shown = list(case.frames(frames, seed))
     times_s, pictures = [item[1] for item in shown], [item[3] for item in shown]
-    bound_px, rows = case_bound_px(case, frames, seed), []
+    bound_px, rows, ours_s = case_bound_px(case, frames, seed), [], np.zeros((0, 2))
     for name, peer in PEERS.items():
         if quick and case.name not in SLOW.get(name, (case.name,)):
             continue
@@ -73,9 +84,11 @@ def run_case(case: Case, frames: int, seed: int, quick: bool) -> list[dict[str, 
         answers = [ask(method, frame.image_grey, time_s)
                    for frame, time_s in zip(pictures, times_s)]
         rows.append(score(name, case, pictures, answers, bound_px))
-        if case.name == 'vanish' and name == OURS:
-            rows[-1].update(vanishing(pictures, times_s, answers))
-    return rows
+        if name == OURS:
+            ours_s = times_of(answers)
+            if case.name == 'vanish':
+                rows[-1].update(vanishing(pictures, times_s, answers))
+    return rows, ours_s
 
 
 def run_long(count: int, seed: int) -> dict[str, Any]:
@@ -149,6 +162,10 @@ def run(quick: bool, seed: int) -> list[dict[str, Any]]:
     """Run every case, the long run and the finder."""
     cv2.setNumThreads(1)
     frames, views = (FRAMES_QUICK, VIEWS_QUICK) if quick else (FRAMES, VIEWS)
-    rows = [row for case in CASES for row in run_case(case, frames, seed, quick)]
-    return [*rows, run_long(LONG_RUN_QUICK if quick else LONG_RUN, seed),
+    results = [run_case(case, frames, seed, quick) for case in CASES]
+    times_s = np.vstack([times_s for _, times_s in results])
+    together = {'method': OURS, 'case': 'every frame of these', 'frames': len(times_s),
+                **time_columns(times_s)}
+    return [*(row for rows, _ in results for row in rows), together,
+            run_long(LONG_RUN_QUICK if quick else LONG_RUN, seed),
             run_finder(views, seed)]
