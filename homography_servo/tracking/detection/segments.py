@@ -99,11 +99,9 @@ def find_pieces(smooth: np.ndarray, polarity: int) -> Pieces:
     slope = np.stack([slope_u.ravel()[index], slope_v.ravel()[index]]).astype(np.float32)
     slope /= np.sqrt(slope[0] * slope[0] + slope[1] * slope[1]) + 1e-6
     hands = [hand for hand in (1, -1) if polarity != -hand]
-    first, second = _neighbours(index, edges.shape)
     pixels = _with_inside(smooth, np.tile(place, len(hands)),
                           np.concatenate([hand * slope for hand in hands], axis=1))
-    apart = np.arange(len(hands))[:, None] * len(index)  # the hands share no region
-    region = _regions(pixels, (first + apart).ravel(), (second + apart).ravel())
+    region = _regions(pixels, slope, *_neighbours(index, edges.shape))
     pieces, straight, aside_px = _fitted(region, pixels)
     # Two edges close to each other with the fitted line between them.
     bent = (region >= 0) & ~straight
@@ -112,14 +110,13 @@ def find_pieces(smooth: np.ndarray, polarity: int) -> Pieces:
 
 
 def _neighbours(index: np.ndarray, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Pair edge pixels that touch: their numbers, twice (l,)."""
+    """Pair edge pixels that touch: their numbers, twice (l,), in the order of the former."""
     width, count = shape[1], len(index)
     node = np.full(shape[0] * width, -1, np.int32)
     node[index] = np.arange(count, dtype=np.int32)
-    others = [node.take(index + step) for step in (1, width - 1, width, width + 1)]
-    pairs = [np.flatnonzero(other >= 0) for other in others]
-    return (np.concatenate(pairs),
-            np.concatenate([other[first] for other, first in zip(others, pairs)]))
+    others = node.take(index[:, None] + (1, width - 1, width, width + 1)).ravel()
+    pairs = np.flatnonzero(others >= 0)
+    return pairs >> 2, others.take(pairs)
 
 
 def _with_inside(smooth: np.ndarray, place: np.ndarray, inward: np.ndarray) -> _Pixels:
@@ -128,22 +125,46 @@ def _with_inside(smooth: np.ndarray, place: np.ndarray, inward: np.ndarray) -> _
     u, v = np.rint(place + INSIDE_PX * inward).astype(np.int32)
     index = np.minimum(np.maximum(v, 0), height - 1) * width \
         + np.minimum(np.maximum(u, 0), width - 1)
-    return _Pixels(place.astype(float), inward, smooth.reshape(-1).take(index).astype(np.float32))
+    return _Pixels(place.astype(np.float32), inward,
+                   smooth.reshape(-1).take(index).astype(np.float32))
 
 
-def _regions(pixels: _Pixels, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Give the number of each edge pixel's region (n,); -1 where it has none."""
-    count, level = len(pixels.level), pixels.level
-    angle = np.arctan2(pixels.inward[1], pixels.inward[0]) * (SECTORS / (2.0 * np.pi))
-    even = np.abs(level.take(first) - level.take(second)) < EVEN_GREY
-    first, second = first[even], second[even]
-    links = []
+def _regions(pixels: _Pixels, slope: np.ndarray, first: np.ndarray,
+             second: np.ndarray) -> np.ndarray:
+    """
+    Join edge pixels to regions.
+
+    Parameters
+    ----------
+    pixels : _Pixels
+        With each hand once, one hand after the other.
+    slope : (2, m) array
+        Unit vectors along the gradients.
+    first, second : (l,) integer array, (l,) integer array
+        Which of the m touch, in the order of the former.
+
+    Returns
+    -------
+    (n,) array
+        Number of each pixel's region; -1 where it has none.
+
+    """
+    count, level = len(pixels.level), pixels.level.reshape(-1, slope.shape[1])
+    angle = np.arctan2(slope[1], slope[0]) * (SECTORS / (2.0 * np.pi))
+    # Opposite gradients are alike where these are: both hands have the same sectors.
+    alike = []
     for turn in (0.0, 0.5):
-        sector = np.floor(angle + turn).astype(np.int32) & (SECTORS - 1)
-        alike = sector.take(first) == sector.take(second)
-        links.append((first[alike], second[alike]))
-    begin, end = (np.concatenate([one, two + count], dtype=np.int32) for one, two in zip(*links))
-    graph = csr_array((np.ones(len(begin)), (begin, end)), shape=(2 * count, 2 * count))
+        sector = np.floor(angle + turn).astype(np.int8) & (SECTORS - 1)
+        alike.append(sector.take(first) == sector.take(second))
+    even = np.abs(level.take(first, axis=1) - level.take(second, axis=1)) < EVEN_GREY
+    # The graph's nodes are all pixels, once for each way to cut the sectors.
+    linked = [np.flatnonzero(one & hand) for one in alike for hand in even]
+    begin, end = (np.concatenate([touching.take(pairs) + block * slope.shape[1]
+                                  for block, pairs in enumerate(linked)])
+                  for touching in (first, second))
+    ahead = np.bincount(begin, minlength=2 * count).cumsum(dtype=np.int32)
+    graph = csr_array((np.ones(len(end)), end.astype(np.int32), np.append(np.int32(0), ahead)),
+                      shape=(2 * count, 2 * count))
     label = connected_components(graph, directed=False)[1]
     sizes = np.bincount(label).take(label).reshape(2, count)
     second_wins = sizes[1] > sizes[0]
@@ -165,11 +186,14 @@ def _fitted(region: np.ndarray, pixels: _Pixels) -> tuple[Pieces, np.ndarray, np
 
     """
     chosen = np.flatnonzero(region >= 0)
-    straight_pixel, aside_px = np.zeros(len(region), bool), np.zeros(len(region))
+    straight_pixel, aside_px = np.zeros(len(region), bool), np.zeros(len(region), np.float32)
     if not len(chosen):
         return NO_PIECES, straight_pixel, aside_px
-    chosen = chosen[np.argsort(region[chosen], kind='stable')]
-    first = np.flatnonzero(np.diff(region[chosen], prepend=-1))
+    number = region.take(chosen)
+    number = number.astype(np.min_scalar_type(number.max()))  # the shorter, the faster sorted
+    order = np.argsort(number, kind='stable')
+    chosen, number = chosen.take(order), number.take(order)
+    first = np.flatnonzero(np.append(True, number[1:] != number[:-1]))
     counts = np.diff(first, append=len(chosen))
     own = np.repeat(np.arange(len(first)), counts)
     table = np.vstack([pixels.place, pixels.inward, pixels.level]).take(chosen, axis=1)
