@@ -18,7 +18,6 @@ from homography_servo.tracking.detection.outlook import Outlook
 from homography_servo.tracking.detection.outlook import Picture
 from homography_servo.tracking.detection.views import linearise
 from homography_servo.tracking.detection.views import moved
-from homography_servo.tracking.detection.views import projected
 from homography_servo.tracking.detection.views import Views
 from homography_servo.tracking.face_pose import pose_of_face
 from homography_servo.tracking.plane import Plane
@@ -135,9 +134,9 @@ def _information(seen: Outlook) -> np.ndarray:
 def _seen_points(views: Views, points_m: np.ndarray,
                  plane: Plane) -> tuple[np.ndarray, np.ndarray]:
     """Project points (n, p, 2), and say how they move with the pose (n, p, 2, 6) [px]."""
-    slope = linearise(points_m, views.rotation, views.translation)[1]
+    rays, slope = linearise(points_m, views.rotation, views.translation)
     slope = slope.reshape(len(slope), len(points_m), 2, 6) * plane.focal[:, None]
-    return projected(points_m, views.rotation, views.translation, plane), slope
+    return plane.from_rays(rays), slope
 
 
 def _rows(corners: np.ndarray, slope: np.ndarray, edges: tuple[list[int], list[int]],

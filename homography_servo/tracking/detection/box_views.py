@@ -63,7 +63,7 @@ def only_face(face: Outlook) -> BoxOutlook:
 
 
 def look_at(picture: Picture, views: Views, points_m: np.ndarray, plane: Plane,
-            inside_px: float = INSIDE_PX) -> BoxOutlook:
+            face: Outlook | None = None) -> BoxOutlook:
     """
     Look across all edges of a box.
 
@@ -77,27 +77,34 @@ def look_at(picture: Picture, views: Views, points_m: np.ndarray, plane: Plane,
         Corners of the face, and of the back where the box has a height.
     plane : Plane
         With a camera.
-    inside_px : float
-        How far inside of its sides the face is looked at.
+    face : Outlook or None
+        What the sides of the face show, where that has been looked at.
 
     Returns
     -------
     BoxOutlook
 
     """
-    front = rows_across(views.corners, SHARES)
-    face = look_across(picture, front, plane, inside_px, -REACH_PX, READ, UNEVEN_GREY)
+    front = rows_across(views.corners if face is None else views.corners[:0], SHARES)
+    count = 4 * len(front.place)
     if len(points_m) == 4:
-        return only_face(face)
+        return only_face(look_across(picture, front, plane, INSIDE_PX, -REACH_PX, READ,
+                                     UNEVEN_GREY) if face is None else face)
     sides, width = _sides(views, points_m, plane)
     sure = np.clip((width - NARROWEST_PX) / (WIDE_PX - NARROWEST_PX), 0.0, 1.0)
     in_view = sure > 0.0
     sides, width = sides[in_view], width[in_view]
-    rows = rows_across(sides, SHARES)
-    rows = Rows(SHARES, rows.place[:, OUTER], rows.inward[:, OUTER])
+    behind = rows_across(sides, SHARES)
+    behind = Rows(SHARES, behind.place[:, OUTER], behind.inward[:, OUTER])
     first_px = np.full((len(width), len(OUTER)), STRIP_FROM_PX)
     first_px[:, 0] = np.clip(np.minimum(STRIP_FROM * width, width - OFF_PX), 0.5, STRIP_FROM_PX)
-    seen = look_across(picture, rows, plane, first_px, -REACH_PX, READ)
+    # All of them at once: so few cost little more than one.
+    seen = look_across(picture, front.and_those(behind), plane,
+                       np.append(np.full(count, INSIDE_PX), first_px), -REACH_PX, READ,
+                       UNEVEN_GREY * (np.arange(count + first_px.size) < count))
+    if face is None:
+        face = seen.chosen(slice(count)).grouped(4)
+    seen = seen.chosen(slice(count, None)).grouped(len(OUTER))
     other = np.abs(seen.level[:, 0] - face.level[in_view]) > picture.other_grey
     seen.shown[:, 0] &= other[:, None]
     back, rims = (_spread(seen, edges, in_view) for edges in ([0], [1, 2]))

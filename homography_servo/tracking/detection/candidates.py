@@ -133,10 +133,10 @@ def find_candidates(picture: Picture, rough: RoughViews, target: Target, plane: 
     chosen = _distinct(rough.views, rough.merit, effort.rough, effort.same_px)
     views = nearer(rough.views.chosen(chosen), only_face(rough.seen.chosen(chosen)), points_m[:4],
                    plane)
-    seen = look_at(picture, views, points_m[:4], plane)
-    chosen = _distinct(views, face_merit(seen.face, CLOSE_PX), effort.near)
-    views = with_mirrored(views.chosen(chosen))
-    views = nearer(views, look_at(picture, views, points_m, plane), points_m, plane)
+    face = look_at(picture, views, points_m[:4], plane).face
+    chosen = _distinct(views, face_merit(face, CLOSE_PX), effort.near)
+    views, face = with_mirrored(views.chosen(chosen)), face.chosen(np.tile(chosen, 2))
+    views = nearer(views, look_at(picture, views, points_m, plane, face), points_m, plane)
     seen = look_at(picture, views, points_m, plane)
     told = np.where(in_reach(views, target), odds(seen, CLOSE_PX), -np.inf)
     best = _distinct(views, expit(told), effort.fitted)

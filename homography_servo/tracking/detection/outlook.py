@@ -8,6 +8,7 @@ edge; where it has left before, something is wrong.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -34,11 +35,17 @@ class Picture(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Places on the edges of n quadrilaterals, k on each edge."""
+    """Places on edges, k on each; mostly (n, 4) of them, those of quadrilaterals."""
 
     share: np.ndarray  # (k,) where on the edge, 0 to 1
     place: np.ndarray  # (n, 4, k, 2) in the plane
     inward: np.ndarray  # (n, 4, k, 2) way inwards; one pixel away from the edge
+
+    def and_those(self, other: Rows) -> Rows:
+        """List all edges (e, k, 2) of these and others."""
+        return Rows(self.share, *(np.concatenate([part.reshape(-1, *part.shape[-2:])
+                                                  for part in parts])
+                                  for parts in zip(self[1:], other[1:])))
 
 
 class Outlook(NamedTuple):
@@ -49,9 +56,14 @@ class Outlook(NamedTuple):
     inward_px: np.ndarray  # (n, 4, k) where the level changes, inwards of the edge
     shown: np.ndarray  # (n, 4, k) whether it changes within reach
 
-    def chosen(self, which: np.ndarray) -> Outlook:
+    def chosen(self, which: np.ndarray | slice) -> Outlook:
         """Select some."""
         return Outlook(self.share, *(part[which] for part in self[1:]))
+
+    def grouped(self, count: int) -> Outlook:
+        """Arrange a list of edges by so many in a row."""
+        return Outlook(self.share, *(part.reshape(-1, count, *part.shape[1:])
+                                     for part in self[1:]))
 
     def closeness(self, reach_px: float) -> np.ndarray:
         """Rate how near the edges the level changes (n, 4), 0 to 1."""
@@ -79,7 +91,8 @@ def smoothed(image: np.ndarray) -> Picture:
 
 
 def look_across(picture: Picture, rows: Rows, plane: Plane, first_px: float | np.ndarray,
-                last_px: float, count: int, uneven_grey: float = 0.0) -> Outlook:
+                last_px: float, count: int,
+                uneven_grey: float | np.ndarray = 0.0) -> Outlook:
     """
     Follow the grey level from inside to outside.
 
@@ -97,39 +110,34 @@ def look_across(picture: Picture, rows: Rows, plane: Plane, first_px: float | np
         And where to end; negative outside.
     count : int
         Pixels to read on the way.
-    uneven_grey : float
-        How much the level may differ along the edge, if that is more than noise explains.
+    uneven_grey : float or (n, 4) array
+        How much the level may differ along each edge, if that is more than noise explains.
 
     Returns
     -------
     Outlook
 
     """
-    first_px = np.broadcast_to(first_px, rows.place.shape[:2])
-    step_px = (first_px - last_px)[:, :, None] / (count - 1)
-    begin, end = (_finite(plane.to_image(rows.place + depth_px * rows.inward).astype(np.float32))
-                  for depth_px in (first_px[:, :, None, None], last_px))
-    way = end - begin
-    share = np.linspace(0.0, 1.0, count, dtype=np.float32)
-    u, v = (begin[..., axis, None] + share * way[..., axis, None] for axis in (0, 1))
-    grey, inside = _read(picture.smooth, u, v)
-    own = grey[..., :LEVEL_SAMPLES].mean(axis=3)
+    first_px, uneven_grey = np.asarray(first_px)[..., None], np.asarray(uneven_grey)[..., None]
+    step_px = (first_px - last_px) / (count - 1)
+    begin, end = rows.place + first_px[..., None] * rows.inward, rows.place + last_px * rows.inward
+    grey, inside = _read(picture.smooth, _finite(plane.to_image(np.stack([begin, end]))), count)
+    own = np.add.reduce(grey[..., :LEVEL_SAMPLES], axis=-1) / np.float32(LEVEL_SAMPLES)
     level = median(own)
     other_grey = picture.other_grey
     other = np.abs(grey - own[..., None]) > other_grey
-    uneven = np.abs(own - level[..., None]) > max(uneven_grey, other_grey)
-    change = np.argmax(other, axis=3)
+    uneven = np.abs(own - level[..., None]) > np.maximum(uneven_grey, other_grey)
+    change = np.argmax(other, axis=-1)
     start = np.arange(0, grey.size, count).reshape(change.shape)
     shown = (other & inside).ravel().take(start + change)
     middle = _middle(grey, start, change, own, START * other_grey)
-    inward = first_px[:, :, None] - step_px * (change - 0.5 + middle)
-    inward = np.where(uneven, first_px[:, :, None], inward)
+    inward = np.where(uneven, first_px, first_px - step_px * (change - 0.5 + middle))
     return Outlook(rows.share, level, inward, shown | uneven)
 
 
 def _finite(places: np.ndarray) -> np.ndarray:
-    """Put places that no lens shows outside the picture."""
-    return np.where(np.isfinite(places), places, np.float32(-1.0))
+    """Put places that no lens shows outside the picture; float32."""
+    return np.where(np.isfinite(places), places, -1.0).astype(np.float32)
 
 
 def _middle(grey: np.ndarray, start: np.ndarray, change: np.ndarray,
@@ -189,13 +197,37 @@ def _median_grey(grey: np.ndarray) -> float:
     return 0.5 * float(up_to.searchsorted([(grey.size - 1) // 2, grey.size // 2], 'right').sum())
 
 
-def _read(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Interpolate grey levels, and tell which places are inside the image."""
+def _read(image: np.ndarray, ends: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Interpolate so many grey levels along lines.
+
+    Parameters
+    ----------
+    image : (H, W) uint8 array
+        Grey image.
+    ends : (2, ..., 2) float32 array
+        Where the lines begin and end.
+    count : int
+        Grey levels on each.
+
+    Returns
+    -------
+    (..., count) float32 array, (..., count) bool array
+        The levels, and which of their places are inside the image.
+
+    """
+    begin, end = ends
+    along, way = _steps(count), end - begin
+    u, v = (begin[..., axis, None] + along * way[..., axis, None] for axis in (0, 1))
     height, width = image.shape
     inside = (u >= 0.0) & (u <= width - 1.0) & (v >= 0.0) & (v <= height - 1.0)
     if not u.size:
         return np.zeros(u.shape, np.float32), inside
-    lines = u.size // u.shape[-1], u.shape[-1]
-    grey = cv2.remap(image, u.reshape(lines), v.reshape(lines), cv2.INTER_LINEAR,
+    grey = cv2.remap(image, u.reshape(-1, count), v.reshape(-1, count), cv2.INTER_LINEAR,
                      borderMode=cv2.BORDER_REPLICATE)
     return grey.reshape(u.shape).astype(np.float32), inside
+
+
+@lru_cache(maxsize=8)
+def _steps(count: int) -> np.ndarray:
+    return np.linspace(0.0, 1.0, count, dtype=np.float32)
