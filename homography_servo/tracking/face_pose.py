@@ -15,6 +15,7 @@ import cv2
 from homography_servo.result import Rejected
 import numpy as np
 
+STEADY = 1e-6  # step [rad, m] after which the next one would change nothing that counts
 TWO = np.eye(2)
 # p @ CROSS is the matrix (3, 3), flat, that takes the cross product of p with what it is
 # multiplied by from the left: a turn w moves p by w x p, and d . (w x p) = (p x d) . w.
@@ -45,7 +46,7 @@ def pose_of_face(points_m: np.ndarray, rays: np.ndarray, start: FacePose | None 
     start : FacePose or None
         A pose near by; None begins with the homography of the first four points.
     iterations : int
-        Gauss-Newton steps.
+        Gauss-Newton steps at most.
 
     Returns
     -------
@@ -63,6 +64,8 @@ def pose_of_face(points_m: np.ndarray, rays: np.ndarray, start: FacePose | None 
         rotation, translation = _turned(rotation, step[:3]), translation + step[3:]
         if not (np.isfinite(translation).all() and translation[2] > 1e-3):
             return Rejected('the pose of the face does not converge')
+        if max(map(abs, step.tolist())) < STEADY:
+            break
     miss, _ = _linearise(points_m, rays, rotation, translation)
     return FacePose(rotation, translation, miss)
 
