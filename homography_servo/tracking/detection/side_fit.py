@@ -15,6 +15,7 @@ from homography_servo.tracking.target import Target
 import numpy as np
 
 ROUNDS = 2  # the levels of the sides and the corners depend on each other
+STEADY_PX = 0.03  # a round that moves them by less is the last: the next hardly does
 
 
 def fit_with_sides(image: np.ndarray, fit: SnakeFit, box: BoxSides, look: Look, target: Target,
@@ -53,5 +54,7 @@ def fit_with_sides(image: np.ndarray, fit: SnakeFit, box: BoxSides, look: Look, 
         again = fit_snake(image, fit.corners, look, plane, held(rigid), target.polarity, strips)
         if isinstance(again, Rejected):
             break
-        fit = again
+        before, fit = fit, again
+        if float(np.abs(fit.corners - before.corners).max()) < STEADY_PX:
+            break
     return fit
