@@ -166,10 +166,11 @@ def rows_across(corners: np.ndarray, share: np.ndarray) -> Rows:
     The way inwards leans like the neighbouring sides, so that it does not cross them.
     """
     edge, normal = edges_and_normals(corners)
+    share_2d = share[:, None]
     begin, end = -edge[:, BEFORE, None], edge[:, AFTER, None]
-    way = begin + share[:, None] * (end - begin)
-    deep = (way * normal[:, :, None]).sum(axis=-1, keepdims=True)
-    return Rows(share, corners[:, :, None] + share[:, None] * edge[:, :, None],
+    way = begin + share_2d * (end - begin)
+    deep = way @ normal[..., None]
+    return Rows(share, corners[:, :, None] + share_2d * edge[:, :, None],
                 way / np.maximum(deep, 1e-6))
 
 
@@ -181,8 +182,11 @@ def edges_and_normals(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def inward_normals(edge: np.ndarray) -> np.ndarray:
     """Give unit vectors to the inside of edges (..., 2) that run clockwise on the screen."""
-    length = np.sqrt((edge * edge).sum(axis=-1, keepdims=True))
-    return edge[..., ::-1] * (-1.0, 1.0) / np.maximum(length, 1e-9)
+    normal = np.empty_like(edge)
+    np.negative(edge[..., 1], out=normal[..., 0])
+    normal[..., 1] = edge[..., 0]
+    normal /= np.maximum(np.hypot(edge[..., 0], edge[..., 1]), 1e-9)[..., None]
+    return normal
 
 
 def median(values: np.ndarray) -> np.ndarray:

@@ -114,7 +114,7 @@ def _neighbours(index: np.ndarray, shape: tuple[int, ...]) -> tuple[np.ndarray, 
     width, count = shape[1], len(index)
     node = np.full(shape[0] * width, -1, np.int32)
     node[index] = np.arange(count, dtype=np.int32)
-    others = node.take(index[:, None] + (1, width - 1, width, width + 1)).ravel()
+    others = node.take(np.add.outer(index, (1, width - 1, width, width + 1))).ravel()
     pairs = np.flatnonzero(others >= 0)
     return pairs >> 2, others.take(pairs)
 

@@ -32,7 +32,7 @@ def join_pieces(pieces: Pieces) -> Sides:
     pieces = pieces.chosen(np.argsort(-pieces.length))
     start, direction, length, level = pieces
     line, other = _parallel_pairs(direction)
-    alike = (line < other) & (np.abs(level.take(line) - level.take(other)) < EVEN_GREY)
+    alike = np.abs(level.take(line) - level.take(other)) < EVEN_GREY
     line, other = line[alike], other[alike]
     along, beside = direction.take(line, axis=0), direction.take(other, axis=0)
     away = start.take(other, axis=0) - start.take(line, axis=0)
@@ -53,7 +53,7 @@ def join_pieces(pieces: Pieces) -> Sides:
 
 
 def _parallel_pairs(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pair edges (n,) that run the same way, each pair both ways (p,)."""
+    """Pair edges (n,) that run the same way, each once: the first of them, and the other (p,)."""
     angle = np.arctan2(direction[:, 1], direction[:, 0])
     order = np.argsort(angle)
     ordered = angle[order]
@@ -61,7 +61,7 @@ def _parallel_pairs(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     first, second = matches(ordered, ordered + IN_LINE_RAD, around)
     later = second > first  # of those at the same angle, each pair once
     first, second = order.take(first[later]), np.tile(order, 2).take(second[later])
-    return np.concatenate([first, second]), np.concatenate([second, first])
+    return np.minimum(first, second), np.maximum(first, second)
 
 
 def matches(low: np.ndarray, high: np.ndarray,

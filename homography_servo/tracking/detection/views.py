@@ -125,12 +125,11 @@ def _refined(rays: np.ndarray, across: np.ndarray, down: np.ndarray, near: np.nd
         across_slope = slope.transpose(0, 2, 1)
         step = np.linalg.solve(across_slope @ slope + DAMPING * np.eye(6),
                                across_slope @ (rays - seen).reshape(len(rays), 8, 1))[..., 0]
-        rotation = _turned(rotation, step[:, :3])
-        centre = centre + step[:, 3:]
-    seen, _ = linearise(points_m, rotation, centre)
-    miss_px = plane.rms_px(rays - seen)
+        rotation, centre = _turned(rotation, step[:, :3]), centre + step[:, 3:]
+    corners = projected(points_m, rotation, centre, plane)
+    miss_px = plane.rms_px(rays - plane.rays(corners))
     good = np.isfinite(miss_px) & (centre[:, 2] > 1e-3)
-    return Views(plane.from_rays(seen), rotation, centre, miss_px).chosen(good)
+    return Views(corners, rotation, centre, miss_px).chosen(good)
 
 
 def linearise(points_m: np.ndarray, rotation: np.ndarray,
@@ -186,13 +185,14 @@ def with_mirrored(views: Views) -> Views:
 
 def _turned(rotation: np.ndarray, small: np.ndarray) -> np.ndarray:
     """Turn by small rotation vectors (Cayley's formula: stays a rotation)."""
-    half = 0.5 * np.clip(small, -MOST_TURN_RAD, MOST_TURN_RAD)
-    square = (half ** 2).sum(axis=1)[:, None, None]
-    x, y, z = half.T
-    zero = np.zeros_like(x)
-    skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-    turn = ((1.0 - square) * np.eye(3) + 2.0 * skew
-            + 2.0 * half[:, :, None] * half[:, None, :]) / (1.0 + square)
+    x, y, z = 0.5 * np.minimum(np.maximum(small, -MOST_TURN_RAD), MOST_TURN_RAD).T
+    xx, yy, zz = x * x, y * y, z * z
+    turn = np.empty((len(small), 3, 3))
+    turn[:, 0, 0], turn[:, 1, 1], turn[:, 2, 2] = xx - yy - zz, yy - zz - xx, zz - xx - yy
+    turn[:, [0, 1, 2], [0, 1, 2]] += 1.0
+    for row, column, even, odd in ((0, 1, x * y, z), (1, 2, y * z, x), (2, 0, z * x, y)):
+        turn[:, row, column], turn[:, column, row] = 2.0 * (even - odd), 2.0 * (even + odd)
+    turn /= (1.0 + xx + yy + zz)[:, None, None]
     return turn @ rotation
 
 
