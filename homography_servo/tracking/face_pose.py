@@ -65,7 +65,7 @@ def pose_of_face(points_m: np.ndarray, rays: np.ndarray, start: FacePose | None 
         if not (np.isfinite(translation).all() and translation[2] > 1e-3):
             return Rejected('the pose of the face does not converge')
         if max(map(abs, step.tolist())) < STEADY:
-            break
+            return FacePose(rotation, translation, miss - (jacobian @ step).reshape(miss.shape))
     miss, _ = _linearise(points_m, rays, rotation, translation)
     return FacePose(rotation, translation, miss)
 
