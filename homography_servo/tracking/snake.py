@@ -87,6 +87,31 @@ def fit_snake(image: np.ndarray, start: np.ndarray, look: Look, plane: Plane = I
     return fit._replace(quality=Quality(fit.edges, fit.weight, fit.miss), scan=scan, strips=strips)
 
 
+def let_go(fit: SnakeFit, look: Look, polarity: int) -> SnakeFit | Rejected:
+    """
+    Fit the corners to what a fit has measured, held by nothing.
+
+    One linear step from where it has measured: corners do not run to other edges.
+
+    Parameters
+    ----------
+    fit : SnakeFit
+        With a prior.
+    look : Look
+        How it has looked for the edges.
+    polarity : int
+        What it knew of the face.
+
+    Returns
+    -------
+    SnakeFit or Rejected
+
+    """
+    usable = _usable(fit.edges, edge_profile(look.blur_px).sigma_px, polarity)
+    measured_around = fit.corners - fit.step.reshape(fit.corners.shape)
+    return fit_polygon(fit.edges, measured_around, usable, None, look, True, fit.strips)
+
+
 def _usable(edges: Edges, sigma_px: float, polarity: int) -> np.ndarray:
     """Choose segments whose edge stands out of the noise, with the right sign."""
     clear = edges.variance < (0.5 * sigma_px) ** 2

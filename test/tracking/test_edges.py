@@ -16,14 +16,16 @@ from homography_servo.tracking.focus import refocus
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import fit_polygon
 from homography_servo.tracking.polygon_fit import Look
+from homography_servo.tracking.polygon_fit import Prior
 from homography_servo.tracking.profile import edge_profile
 from homography_servo.tracking.scan import read_scan
 from homography_servo.tracking.scan import side_geometry
 from homography_servo.tracking.snake import fit_snake
+from homography_servo.tracking.snake import let_go
 import numpy as np
 import pytest
 
-IDEAL = Plane(None)
+IDEAL, LOOK = Plane(None), Look(0.8, 4)
 SHAPE = np.array([[-53.0, -32.0], [53.0, -32.0], [53.0, 32.0], [-53.0, 32.0]])
 
 
@@ -192,6 +194,17 @@ def test_a_hidden_side_does_not_drag_the_others():
     fit = fit_snake(image, corners + 0.4, Look(0.8, 4))
     assert np.abs(fit.corners - corners).max() < 0.15
     assert fit.quality.side_share[0] < 0.9 < fit.quality.side_share[2]
+
+
+@pytest.mark.parametrize('polarity, returns', [(0, True), (1, True), (-1, False)])
+def test_corners_that_are_let_go_return_to_their_edges(polarity, returns):
+    rng = np.random.default_rng(8)
+    corners = quad(rng)
+    away = corners + rng.uniform(-0.5, 0.5, (4, 2))
+    held = fit_snake(picture(corners, rng, 2.0), away, LOOK, prior=Prior(away, 1e6 * np.eye(8)))
+    assert np.abs(held.corners - corners).max() > 0.3
+    free = let_go(held, LOOK, polarity)
+    assert (np.abs(free.corners - corners).max() < 0.1) == returns
 
 
 def test_nothing_to_see_is_refused_with_a_reason():

@@ -29,6 +29,7 @@ from homography_servo.tracking.polygon_fit import Look
 from homography_servo.tracking.polygon_fit import Prior
 from homography_servo.tracking.polygon_fit import SnakeFit
 from homography_servo.tracking.snake import fit_snake
+from homography_servo.tracking.snake import let_go
 from homography_servo.tracking.target import Found
 from homography_servo.tracking.target import Target
 import numpy as np
@@ -96,7 +97,7 @@ def _weighed(picture: Picture, corners: np.ndarray, target: Target, plane: Plane
                  outline.pose.translation[None], np.zeros(1))
     seen = look_at(picture, view, box_points(target.face_size_m, target.box_height_m), plane)
     return Found(fit, float(odds(seen, CLOSEST_PX)[0])
-                 + _shape_odds(picture.grey, fit, box, target, plane))
+                 + _shape_odds(fit, box, target, plane))
 
 
 def _held_fit(image: np.ndarray, corners: np.ndarray, box: BoxSides, target: Target,
@@ -109,11 +110,15 @@ def _held_fit(image: np.ndarray, corners: np.ndarray, box: BoxSides, target: Tar
     outline = box.outline(corners)
     if isinstance(outline, Rejected):
         return outline
-    look = Look(target.blur_px, HALF, iterations=STEPS)
+    look = _look(target)
     fit = fit_snake(image, corners, look, plane, held(outline.rigid), target.polarity)
     if isinstance(fit, Rejected):
         return fit
     return fit_with_sides(image, fit, box, look, target, plane, held)
+
+
+def _look(target: Target) -> Look:
+    return Look(target.blur_px, HALF, iterations=STEPS)
 
 
 def _softer(rigid: Prior, target: Target) -> Prior:
@@ -128,8 +133,7 @@ def _size_px(corners: np.ndarray) -> float:
     return float(np.linalg.norm(np.ptp(corners, axis=0)))
 
 
-def _shape_odds(image: np.ndarray, fit: SnakeFit, box: BoxSides, target: Target,
-                plane: Plane) -> float:
+def _shape_odds(fit: SnakeFit, box: BoxSides, target: Target, plane: Plane) -> float:
     """
     Let the corners go, and tell how much speaks for the face in where they stay.
 
@@ -137,8 +141,7 @@ def _shape_odds(image: np.ndarray, fit: SnakeFit, box: BoxSides, target: Target,
     with what noise and lens allow, and with that of other quadrilaterals of about these
     proportions.
     """
-    free = fit_snake(image, fit.corners, Look(target.blur_px, HALF, iterations=STEPS), plane,
-                     None, target.polarity, fit.strips)
+    free = let_go(fit, _look(target), target.polarity)
     if isinstance(free, Rejected):
         return 0.0
     outline = box.outline(free.corners)
