@@ -90,7 +90,8 @@ def _by_regions(image: np.ndarray, edges: EdgeSearch, target: Target, plane: Pla
         return found
     # From nothing to what ends a search; the edges' odds are something else that speaks for it.
     told = SURE_ODDS * (found.merit - LEAST_SCORE) / (CONVINCING - LEAST_SCORE)
-    if told + edges.odds(found.fit.corners) < LEAST_ODDS:
+    together = told + edges.odds(found.fit.corners)
+    if together < max(LEAST_ODDS, edges.odds_elsewhere(found.fit.corners)):
         return otherwise or Rejected('neither regions nor edges show what surely is the face')
     return found
 

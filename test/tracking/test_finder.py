@@ -8,6 +8,9 @@ from face_views import pose
 from homography_servo.result import Rejected
 from homography_servo.simulation.scene import Scene
 from homography_servo.simulation.scene_settings import SceneSettings
+from homography_servo.tracking.detection.edge_search import EdgeSearch
+from homography_servo.tracking.detection.edge_search import QUICK
+from homography_servo.tracking.detection.edge_search import SURE_ODDS
 from homography_servo.tracking.detection.region_quads import list_quads
 from homography_servo.tracking.finder import find_face
 from homography_servo.tracking.plane import Plane
@@ -42,6 +45,16 @@ def test_the_face_is_found_in_an_empty_world():
 
 def test_the_face_is_found_among_other_things():
     assert found_share(SceneSettings(clutter=1.0), 40) >= 0.9
+
+
+def test_what_is_found_is_weighed_against_what_is_elsewhere():
+    frame = Scene(CAMERA, FACE_M, 0.04, SceneSettings()).render(pose(tilt_x=25.0), 0.0, 0)
+    edges = EdgeSearch(frame.image_grey, TARGET, PLANE)
+    found = edges.best(QUICK)
+    corners = found.fit.corners
+    assert found.merit > SURE_ODDS
+    assert edges.odds_elsewhere(corners) < found.merit
+    assert edges.odds_elsewhere(corners + 50.0) == found.merit
 
 
 def frontal_pose(rng):

@@ -62,7 +62,7 @@ class EdgeSearch:
         candidates = find_candidates(self._picture, rough, self._target, self._plane, effort)
         checked = [self._check(corners) for corners in candidates.views.corners]
         found = [one for one in checked if not isinstance(one, Rejected)]
-        best = _best(found)
+        best = self._unrivalled(_best(found))
         if not isinstance(best, Rejected) and best.merit > SURE_ODDS:
             return best
         for side in found:
@@ -75,6 +75,19 @@ class EdgeSearch:
         """Give the logarithm of the odds that corners (4, 2) found otherwise are the face's."""
         checked = self._check(corners)
         return -math.inf if isinstance(checked, Rejected) else checked.merit
+
+    def odds_elsewhere(self, corners: np.ndarray) -> float:
+        """Give those of the likeliest thing found so far that is elsewhere."""
+        return max((one.merit for one in self._checked.values()
+                    if not isinstance(one, Rejected)
+                    and _apart(one.fit.corners, corners) > ELSEWHERE_PX), default=-math.inf)
+
+    def _unrivalled(self, best: Found | Rejected) -> Found | Rejected:
+        """Doubt the best one if another thing looks like the face as well."""
+        if not isinstance(best, Rejected) \
+                and self.odds_elsewhere(best.fit.corners) > best.merit - APART_ODDS:
+            return Rejected('two quadrilaterals look like the face')
+        return best
 
     def _check(self, corners: np.ndarray) -> Found | Rejected:
         """Check a candidate, once."""
@@ -93,19 +106,16 @@ class EdgeSearch:
 
 
 def _best(found: list[Found]) -> Found | Rejected:
-    """Choose the one for which most speaks; nothing else may look like the face as well."""
+    """Choose the one for which most speaks, if that is enough."""
     if not found:
         return Rejected('the edges do not support any view of the face')
     best = max(found, key=lambda one: one.merit)
     all_show = min(best.fit.judged.side_share.tolist()) > 0.0
     if best.merit < (LEAST_ODDS if all_show else BELIEVED_ODDS):
         return Rejected('the best quadrilateral does not look like the face and its box')
-    if any(one.merit > best.merit - APART_ODDS and _apart(one, best) > ELSEWHERE_PX
-           for one in found):
-        return Rejected('two quadrilaterals look like the face')
     return best
 
 
-def _apart(one: Found, other: Found) -> float:
-    """Give the distance of two middles [px]."""
-    return float(np.linalg.norm((one.fit.corners - other.fit.corners).mean(axis=0)))
+def _apart(one: np.ndarray, other: np.ndarray) -> float:
+    """Give the distance of the middles of corners (4, 2) [px]."""
+    return float(np.linalg.norm((one - other).mean(axis=0)))
