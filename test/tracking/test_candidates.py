@@ -171,6 +171,17 @@ def test_the_box_tells_the_true_tilt_from_the_mirrored_one():
     assert flat.back is None and odds(flat, 4.0)[0] > 1.5
 
 
+def test_a_face_that_was_looked_at_needs_no_second_look():
+    scene = Scene(CAMERA, FACE_M, 0.04, SceneSettings())
+    picture = smoothed(scene.render(TILTED, 0.0, 0).image_grey)
+    points_m, views = box_points(FACE_M, 0.04), with_mirrored(view(TILTED))
+    whole = look_at(picture, views, points_m, PLANE)
+    face = look_at(picture, views, points_m[:4], PLANE).face
+    parts = look_at(picture, views, points_m, PLANE, face)
+    for one, other in zip(whole[:3], parts[:3]):
+        assert all(np.array_equal(a, b) for a, b in zip(one, other))
+
+
 def test_a_side_of_the_box_that_is_missing_speaks_against_the_face():
     plate = Scene(CAMERA, FACE_M, 0.0, SceneSettings()).render(pose(tilt_x=30.0), 0.0, 0)
     picture, points_m = smoothed(plate.image_grey), box_points(FACE_M, 0.04)
