@@ -214,6 +214,7 @@ class Mover:
 
     def over(self, seq: int, how: str) -> str:
         """Take note that a line has run; give a sentence when that is not as it should be."""
+        self.answered(seq)  # its OK may have been lost
         motion = self._motion
         if seq == self._pace_seq:
             self._pace_seq = 0

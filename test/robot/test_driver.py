@@ -492,6 +492,32 @@ def test_a_lost_done_is_made_up_by_the_status(rig):
         assert rig.state == 'IDLE'
 
 
+def lose_reply(rig, word):
+    """Lose the next reply with a word; give a list of what was lost."""
+    lost = []
+
+    def spoil(data):
+        kept = b''
+        for line in data.splitlines(True):
+            if word in line and not lost:
+                lost.append(line)
+            else:
+                kept += line
+        return kept
+    rig.spoil = spoil
+    return lost
+
+
+def test_a_lost_ok_is_made_up_by_the_end_of_its_target(rig):
+    assert rig.send((0.3, [0.1] * 6), (0.8, [0.1] * 6), (1.5, [0.2] * 6)) is None
+    while rig.arm.positions[0] < 0.098:
+        rig.turn()
+    lost = lose_reply(rig, b' OK')  # of one of the last targets before the arm waits
+    rig.run(3.0)
+    assert lost and rig.state == 'IDLE'
+    assert rig.arm.positions == pytest.approx([0.2] * 6, abs=HALF_UNIT)
+
+
 @pytest.mark.parametrize('share', [0.1, 0.3])
 def test_lost_replies_are_asked_for_again_and_nothing_runs_twice(share):
     rng = np.random.default_rng(1)
