@@ -32,6 +32,7 @@ class _Motion:
     target: np.ndarray  # last one, in servo units
     streamed: bool
     seq: int = 0  # of the line whose DONE may end it; 0 before the first target is sent
+    ran: bool = False  # that line
 
 
 class Mover:
@@ -204,8 +205,11 @@ class Mover:
             self.next_due_s = max(due_s + self._period_s, self._budget.next_s())
             seq = self._link.request(self.wire.goto(target), motion=True)
             motion.seq = self._unanswered_seq = seq
+            motion.ran = False
         elif wanted.done and not motion.seq:
             self._motion = None  # all of it was too small for a servo step
+        elif wanted.done and motion.ran:
+            self._arrive(motion)
 
     def answered(self, seq: int) -> None:
         """Take note that a line was answered."""
@@ -223,10 +227,16 @@ class Mover:
             return ''
         if how == 'STOPPED':
             return 'the device stopped a motion by itself'
+        motion.ran = True
+        if not motion.streamed or self._targets.trajectory is None:
+            self._arrive(motion)
+        return ''
+
+    def _arrive(self, motion: _Motion) -> None:
+        """End a motion at its goal; a stream may stand there on its way, too."""
         last = self.governor.last
         if not motion.streamed or (last is not None and np.array_equal(last, motion.target)):
             self._motion, self._arriving = None, motion.target
-        return ''
 
     def rests(self, finished_seq: int) -> None:
         """Take note that the device is idle; the line that said so may have been lost."""

@@ -121,6 +121,14 @@ def test_several_points_are_streamed_and_passed_in_time(rig):
     assert rig.state == 'IDLE' and not rig.arm.velocities.any()
 
 
+def test_a_stream_that_stands_at_its_goal_on_the_way_goes_on(rig):
+    assert rig.send((0.5, [0.3] * 6), (1.0, [0.3] * 6), (1.8, [0.6] * 6), (2.6, [0.3] * 6)) is None
+    rig.run(1.9)
+    assert rig.arm.positions == pytest.approx([0.6] * 6, abs=0.05) and rig.state == 'MOVING'
+    rig.run(1.5)
+    assert rig.arm.positions == pytest.approx([0.3] * 6, abs=HALF_UNIT) and rig.state == 'IDLE'
+
+
 def test_velocities_tell_that_it_moves_and_that_it_stands(rig):
     rig.send((1.0, [0.5] * 6))
     rig.run(0.5)
