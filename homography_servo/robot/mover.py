@@ -31,6 +31,7 @@ class _Motion:
 
     target: np.ndarray  # last one, in servo units
     streamed: bool
+    pace: np.ndarray  # that the device must have before it hears of the motion
     seq: int = 0  # of the line whose DONE may end it; 0 before the first target is sent
     ran: bool = False  # that line
 
@@ -78,9 +79,9 @@ class Mover:
     def attach(self, wire: ServoWire) -> None:
         """Begin with a device that has been told the limits of the arm."""
         self._wire = wire
-        self._pace = wire.full_pace
         self.estimate.clear()
         self.forget()
+        self._pace = wire.full_pace
 
     @property
     def wire(self) -> ServoWire:
@@ -90,6 +91,8 @@ class Mover:
     def forget(self) -> None:
         """Give up the motion: the device does not follow it any more."""
         self._motion = self._arriving = None
+        if self._pace_seq:
+            self._pace = None  # whether the device has taken it will not be known
         self._unanswered_seq = self._pace_seq = 0
         self.governor.forget()
         self._link.drop_motion()
@@ -102,11 +105,7 @@ class Mover:
     @property
     def streaming(self) -> bool:
         """Tell whether targets have to be sent."""
-        return self._streamed() is not None
-
-    def _streamed(self) -> _Motion | None:
-        return self._motion if self._motion and self._motion.streamed and not self.standing_by \
-            else None
+        return self._motion is not None and self._motion.streamed and not self.standing_by
 
     # --- beginning and ending -----------------------------------------------------------
 
@@ -150,14 +149,12 @@ class Mover:
         way = units - self.wire.units(self.estimate.at(now_s).positions, 0.0)
         if not way.any():
             return
-        self._set_pace(self.wire.pace(way, trajectory.duration_s))
-        seq = self._link.request(self.wire.move(units), motion=True)
-        self._motion = _Motion(units, streamed=False, seq=seq)
+        self._motion = _Motion(units, False, self.wire.pace(way, trajectory.duration_s))
         self.governor.forget()
 
     def _follow(self, trajectory: Trajectory, units: np.ndarray, now_s: float) -> None:
         seq = 0
-        if self._motion is not None and not self._motion.streamed:
+        if self._motion is not None and not self._motion.streamed and self._motion.seq:
             seq = self._end_move(now_s)
         last = self.governor.last
         if last is None:
@@ -165,10 +162,9 @@ class Mover:
             self.governor.start(last, now_s - self._period_s)
         if self._motion is None or not self._motion.streamed:
             self._targets.restart(last, now_s)
-            self._set_pace(self.wire.full_pace)
         self._targets.follow(trajectory, now_s)
         self._arriving = None
-        self._motion = _Motion(units, streamed=True, seq=seq)
+        self._motion = _Motion(units, True, self.wire.full_pace, seq)
         self.next_due_s = min(self.next_due_s, max(now_s, self._budget.next_s()))
 
     def _end_move(self, now_s: float) -> int:
@@ -184,19 +180,38 @@ class Mover:
         self._unanswered_seq = self._link.request(self.wire.goto(target), motion=True)
         return self._unanswered_seq
 
-    def _set_pace(self, pace: np.ndarray) -> None:
-        if self._pace is None or np.any(pace != self._pace):
-            for line in self.wire.maxspd(pace):
-                self._pace_seq = self._link.request(line)
-            self._pace = pace
+    def _paced(self, pace: np.ndarray) -> bool:
+        """
+        Tell whether the device has a pace, and tell the device where it has not.
+
+        What is to move so fast waits for that: a line that is lost is overtaken by those
+        behind it, and a target throws lines out of the queue of the device.
+        """
+        if self._pace_seq:
+            return False
+        if self._pace is not None and np.array_equal(pace, self._pace):
+            return True
+        for line in self.wire.maxspd(pace):
+            self._pace_seq = self._link.request(line)
+        self._pace = pace
+        return False
 
     # --- going on -----------------------------------------------------------------------
 
     def stream(self, now_s: float) -> None:
-        """Send the next target when it is time and the last one was answered."""
-        motion = self._streamed()
-        if motion is None or now_s < self.next_due_s or self._unanswered_seq or self._pace_seq:
-            return  # a target would throw the pace out of the queue of the device
+        """Send what is next when it is time and what was before has been answered."""
+        motion = self._motion
+        if motion is None or self.standing_by or self._unanswered_seq \
+                or not self._paced(motion.pace):
+            return
+        if motion.streamed:
+            self._next_target(motion, now_s)
+        elif not motion.seq:
+            motion.seq = self._link.request(self.wire.move(motion.target), motion=True)
+
+    def _next_target(self, motion: _Motion, now_s: float) -> None:
+        if now_s < self.next_due_s:
+            return
         wanted = self._targets.step(now_s)
         target = self.governor.step(wanted.units, now_s)
         due_s, self.next_due_s = self.next_due_s, now_s + self._budget.least_s

@@ -247,6 +247,56 @@ def test_the_pace_is_told_again_when_the_device_has_thrown_it_away(rig):
     assert [line for line in rig.heard(start_s) if line.startswith('move')]
 
 
+def lose_line(rig, word):
+    """Lose the next line with a word on its way to the device; give a list of what was lost."""
+    lost, feed = [], rig.device.feed
+
+    def hear(data, now_s):
+        kept = b''
+        for line in data.splitlines(True):
+            if word in line and not lost:
+                lost.append(line)
+            else:
+                kept += line
+        feed(kept, now_s)
+    rig.device.feed = hear
+    return lost
+
+
+def test_home_is_slow_even_if_the_line_that_makes_it_slow_is_lost(rig):
+    rig.send((1.5, [1.0] * 6))
+    rig.run(2.5)
+    lost, start_s, fastest = lose_line(rig, b'maxspd'), rig.now_s, 0.0
+    assert rig.driver.home(rig.now_s) is None
+    while rig.state != 'IDLE' or rig.now_s < start_s + 0.5:
+        rig.run(0.02)
+        fastest = max(fastest, np.abs(rig.arm.velocities).max())
+    assert lost and 0.1 < fastest < 0.35 and not rig.arm.positions.any()
+
+
+def test_what_replaces_a_slow_move_is_not_slow_if_the_first_target_is_lost(rig):
+    rig.send((5.0, [0.2] * 6))
+    rig.run(1.0)
+    lost = lose_line(rig, b'!goto')
+    assert rig.send((1.0, [0.6] * 6), (2.0, [1.2] * 6)) is None
+    rig.run(2.7)
+    assert lost and rig.arm.positions == pytest.approx([1.2] * 6, abs=HALF_UNIT)
+
+
+@pytest.mark.parametrize('after_s', [0.005, 0.02, 0.04])
+def test_what_comes_after_a_stop_is_not_slow_whatever_was_under_way(rig, after_s):
+    rig.send((5.0, [0.2] * 6))
+    rig.run(1.0)
+    rig.send((1.0, [0.6] * 6), (2.0, [1.2] * 6))  # the line of its pace waits for a target
+    rig.run(after_s)
+    rig.driver.stop_now('a test')
+    rig.run(0.1)
+    rig.reset()
+    assert rig.send((1.0, [0.6] * 6), (2.0, [1.2] * 6)) is None
+    rig.run(2.5)
+    assert rig.arm.positions == pytest.approx([1.2] * 6, abs=HALF_UNIT) and rig.state == 'IDLE'
+
+
 def test_a_command_to_where_it_stands_moves_nothing(rig):
     start_s = rig.now_s
     assert rig.go([0.0] * 6) is None
