@@ -384,7 +384,7 @@ class ArmDriver:
             elif isinstance(event, Notice):
                 self._stop_if('' if self._latch else _CRIES.get(event.name, ''))
             elif isinstance(event, Over):
-                self._stop_if(self._mover.over(event.seq, event.how))
+                self._stop_if(self._mover.over(event.seq, event.how, now_s))
                 self._next_position_s = 0.0  # where is it now?
             else:
                 self._answer(event, now_s)
@@ -440,9 +440,9 @@ class ArmDriver:
             self.stop_now(f'the device refused {answer.text.split(" ", 1)[0]}: '
                           f'error {code} {token}')
         elif answer.kind == 'POS':
-            self._position(answer.values, asked_s, now_s)
+            self._position(answer, asked_s, now_s)
         elif answer.kind == 'ST':
-            self._status(answer.values)
+            self._status(answer, now_s)
         elif answer.text == '!reset':
             self._was_reset()
         hook = self._on_answer.pop(answer.seq, None)
@@ -450,21 +450,23 @@ class ArmDriver:
             hook(answer)
             self._answered.notify_all()
 
-    def _position(self, values: tuple, asked_s: float, now_s: float) -> None:
-        units = self._mover.wire.heard(values)
+    def _position(self, answer: Answer, asked_s: float, now_s: float) -> None:
+        units = self._mover.wire.heard(answer.values)
         if units is None:
             self.counts['bad_positions'] += 1
             return
         wire_s = LONGEST_REPLY * BITS_PER_BYTE / self.settings.baud
-        self._stop_if(self._mover.heard(units, max(now_s - wire_s, asked_s)))
+        held_s = asked_s if answer.repeated else max(now_s - wire_s, asked_s)
+        self._stop_if(self._mover.heard(units, held_s))
 
-    def _status(self, values: tuple) -> None:
+    def _status(self, answer: Answer, now_s: float) -> None:
         """Compare what the device says with what is believed here."""
-        state, _, finished, _ = values
-        if state == 'STOPPED' and not self._latch and self._ready and not self._on_answer:
+        state, _, finished, _ = answer.values
+        if state == 'STOPPED' and not (self._latch or self._on_answer or answer.repeated) \
+                and self._ready:
             self.stop_now('the device is stopped')
         if state == 'IDLE':
-            self._mover.rests(finished)
+            self._mover.rests(finished, now_s)
 
     def _was_reset(self) -> None:
         if not self._latch:

@@ -73,6 +73,7 @@ class Mover:
         self._pace: np.ndarray | None = None
         self._motion: _Motion | None = None
         self._arriving: np.ndarray | None = None  # told DONE, not seen there yet
+        self._arrived_s = 0.0  # when it was told
         self._unanswered_seq = 0
         self._pace_seq = 0  # of the last line that sets the pace, until it has run
 
@@ -224,14 +225,14 @@ class Mover:
         elif wanted.done and not motion.seq:
             self._motion = None  # all of it was too small for a servo step
         elif wanted.done and motion.ran:
-            self._arrive(motion)
+            self._arrive(motion, now_s)
 
     def answered(self, seq: int) -> None:
         """Take note that a line was answered."""
         if seq == self._unanswered_seq:
             self._unanswered_seq = 0
 
-    def over(self, seq: int, how: str) -> str:
+    def over(self, seq: int, how: str, now_s: float) -> str:
         """Take note that a line has run; give a sentence when that is not as it should be."""
         self.answered(seq)  # its OK may have been lost
         motion = self._motion
@@ -244,30 +245,30 @@ class Mover:
             return 'the device stopped a motion by itself'
         motion.ran = True
         if not motion.streamed or self._targets.trajectory is None:
-            self._arrive(motion)
+            self._arrive(motion, now_s)
         return ''
 
-    def _arrive(self, motion: _Motion) -> None:
+    def _arrive(self, motion: _Motion, now_s: float) -> None:
         """End a motion at its goal; a stream may stand there on its way, too."""
         last = self.governor.last
         if not motion.streamed or (last is not None and np.array_equal(last, motion.target)):
-            self._motion, self._arriving = None, motion.target
+            self._motion, self._arriving, self._arrived_s = None, motion.target, now_s
 
-    def rests(self, finished_seq: int) -> None:
+    def rests(self, finished_seq: int, now_s: float) -> None:
         """Take note that the device is idle; the line that said so may have been lost."""
         if self._pace_seq:
             self._pace = self._pace if finished_seq == self._pace_seq else None
             self._pace_seq = 0
         if self._motion and self._motion.seq == finished_seq and not self._unanswered_seq:
-            self.over(finished_seq, 'DONE')
+            self.over(finished_seq, 'DONE', now_s)
 
     def heard(self, units: np.ndarray, time_s: float) -> str:
         """Take a position; give a sentence when the arm is not where it has arrived."""
         off = np.zeros(1)
-        if self._arriving is not None:
+        if self._arriving is not None and time_s >= self._arrived_s:
             off = np.abs(units - self._arriving)
             self._arriving = None
-            self.estimate.clear()  # replies come in order, and DONE was before: it stands
+            self.estimate.clear()  # it stands
         self.estimate.add(time_s, self.wire.joints(units))
         if off.max() <= ARRIVED_UNITS:
             return ''

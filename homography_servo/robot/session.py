@@ -35,12 +35,18 @@ REMEMBERED_RUNS = 256
 
 
 class Answer(NamedTuple):
-    """A reply to a request of ours: its text, and what the device said."""
+    """
+    A reply to a request of ours: its text, and what the device said.
+
+    What was `repeated` may have been said at any time since the request was first sent: a
+    device gives its old reply again.
+    """
 
     seq: int
     text: str
     kind: str
     values: tuple
+    repeated: bool = False
 
 
 class Over(NamedTuple):
@@ -193,7 +199,8 @@ class Session:
         del self._unanswered[reply.seq]
         if reply.kind == 'OK':
             self._remember(reply.seq)
-        return Answer(reply.seq, pending.request.text, reply.kind, reply.values)
+        return Answer(reply.seq, pending.request.text, reply.kind, reply.values,
+                      pending.sent > 1)
 
     def _over(self, reply: Reply) -> Event | None:
         pending = self._unanswered.get(reply.seq)

@@ -566,6 +566,46 @@ def lose_reply(rig, word):
     return lost
 
 
+@pytest.mark.parametrize('after_s', np.linspace(0.9, 0.96, 13))
+def test_an_old_position_told_again_is_not_taken_for_where_the_arm_is_now(rig, after_s):
+    assert rig.send((1.0, [0.5] * 6)) is None
+    back_rad, before = 0.0, rig.arm.positions
+    rig.run(after_s)  # it arrives within the 100 ms until the position is asked for again
+    lost = lose_reply(rig, b' POS')
+    for _ in range(200):
+        rig.turn()
+        back_rad, before = max(back_rad, (before - rig.arm.positions).max()), rig.arm.positions
+    assert lost and rig.state == 'IDLE' and back_rad < 0.01
+
+
+def test_an_old_status_told_again_does_not_undo_a_reset(rig):
+    rig.driver.stop_now('a test')
+    lost = lose_reply(rig, b' ST STOPPED')
+    while not lost:
+        rig.turn()
+    rig.reset()
+    rig.run(0.3)
+    assert [state for _, state in rig.states if state != 'IDLE'][1:] == ['LATCHED: a test']
+    assert rig.state == 'IDLE'
+
+
+def test_a_device_that_answers_late_every_time_is_believed(rig):
+    late = []
+
+    def spoil(data):
+        late.append((rig.now_s + 0.15, data))
+        said = b''.join(data for due_s, data in late if due_s <= rig.now_s)
+        late[:] = [item for item in late if item[0] > rig.now_s]
+        return said
+    rig.spoil = spoil
+    rig.run(0.5)
+    for points in ([(1.0, [0.5] * 6)], [(1.0, [0.2] * 6), (2.0, [0.4] * 6)]):
+        assert rig.send(*points) is None
+        rig.run(6.0)
+        assert rig.arm.positions == pytest.approx(points[-1][1], abs=HALF_UNIT)
+        assert rig.state == 'IDLE'
+
+
 def test_a_lost_ok_is_made_up_by_the_end_of_its_target(rig):
     assert rig.send((0.3, [0.1] * 6), (0.8, [0.1] * 6), (1.5, [0.2] * 6)) is None
     while rig.arm.positions[0] < 0.098:

@@ -68,7 +68,7 @@ def test_an_answer_to_the_repeat_is_enough_and_a_second_one_is_stray(session):
     session.request('?pos')
     session.due(0.0)
     looked(session, 0.0, 0.1)
-    assert session.feed(reply('1 POS 1 2')) == [Answer(1, '?pos', 'POS', (1, 2))]
+    assert session.feed(reply('1 POS 1 2')) == [Answer(1, '?pos', 'POS', (1, 2), repeated=True)]
     assert session.feed(reply('1 POS 1 2')) == [] and session.counts['stray_replies'] == 1
 
 
