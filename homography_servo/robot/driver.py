@@ -255,9 +255,11 @@ class ArmDriver:
         with self._answered:
             if not self._ready:
                 return Rejected('not connected, nothing to reset')
-            self._on_answer[self.link.request('!reset')] = lambda a: done.append(a.kind)
+            seq = self.link.request('!reset', motion=True)  # a later stop takes it back
+            self._on_answer[seq] = lambda a: done.append(a.kind)
             self._answered.wait_for(lambda: bool(done), wait_s)
             if not done:
+                self._on_answer.pop(seq, None)
                 return Rejected(f'the robot did not answer within {wait_s:g} s; try again')
             return None if done[0] == 'OK' else Rejected('the robot refused !reset')
 

@@ -406,6 +406,24 @@ def test_reset_waits_for_the_device(rig):
     assert 'did not answer' in rig.driver.reset(0.01).reason
 
 
+@pytest.mark.parametrize('on_its_way', [False, True])
+def test_a_stop_after_a_reset_that_has_no_answer_yet_is_stronger(rig, on_its_way):
+    rig.driver.stop_now('a test')
+    rig.run(0.1)
+    if on_its_way:
+        lose_line(rig, b'!reset')  # and asked for again after the stop
+    rig.driver.reset(0.0)
+    if on_its_way:
+        rig.turn()
+    rig.states.clear()
+    rig.driver.stop_now('again')
+    rig.run(1.0)
+    assert [state for _, state in rig.states] == ['LATCHED: a test']
+    assert rig.device.machine.latched
+    rig.reset()
+    assert rig.state == 'IDLE'
+
+
 def test_a_stream_of_commands_that_ends_is_held_in_time(rig):
     for k in range(40):
         assert rig.go([0.02 * k] * 6) is None
