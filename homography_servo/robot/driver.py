@@ -411,7 +411,11 @@ class ArmDriver:
         watch = f'!watch {int(1000 * self.settings.watchdog_s)}'
         for line in (*first, watch, '!resume', *wire.setup(), '?pos'):
             self.link.request(line)
+        self._on_answer[self.link.request(wire.ask_power())] = self._heard_power
         self._on_answer[self.link.request('?')] = self._first_status
+
+    def _heard_power(self, answer: Answer) -> None:
+        self._powered = answer.values[0] > 0
 
     def _first_status(self, answer: Answer) -> None:
         """Become ready; what stood or moved without us needs a reset by somebody."""
@@ -420,7 +424,7 @@ class ArmDriver:
         elif answer.values[0] == 'STOPPED':
             self._latch = self._latch or 'the device had been stopped before'
         self._ready = self._was_ready = True
-        self._powered, self._hold = True, ''
+        self._hold = ''
         self._set_paused(False)
         if answer.values[0] == 'WORKING':
             self.stop_now('the arm was moving when the link came up')

@@ -160,6 +160,10 @@ class ServoWire:
         return self._joined([f'maxspd {index + 1} {int(value)}'
                              for index, value in zip(self._index, values)])
 
+    def ask_power(self) -> str:
+        """Ask whether the servos have power; all are switched together."""
+        return f'?prop {self._index[0] + 1} power'
+
     def setup(self) -> list[str]:
         """Write the limits of the arm, as script lines."""
         low, high = unit_range(self.robot)

@@ -478,6 +478,25 @@ def test_power_off_ends_a_motion_and_refuses_others(rig):
     assert rig.state == 'IDLE' and rig.go([0.0] * 6) is None
 
 
+@pytest.mark.parametrize('restarted', [False, True])
+def test_power_that_is_off_is_known_after_a_lost_link_and_after_a_restart(rig, restarted):
+    rig.driver.power(False)
+    rig.run(0.1)
+    if restarted:
+        rig = Rig(rig.device).run(0.2)
+    else:
+        rig.silent = True
+        rig.run(0.3)
+        rig.silent = False
+        rig.run(2.0)
+        assert rig.state.startswith('LATCHED: the link was lost')
+        rig.reset()
+    assert rig.state == 'HOLD: power is off' and 'power is off' in rig.go([0.1] * 6).reason
+    rig.driver.power(True)
+    rig.run(0.1)
+    assert rig.state == 'IDLE' and rig.go([0.1] * 6) is None
+
+
 def test_power_on_while_it_moves_changes_nothing(rig):
     moving(rig)
     rig.driver.power(True)
