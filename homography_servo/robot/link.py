@@ -13,6 +13,7 @@ from typing import Callable, NamedTuple, Union
 
 from homography_servo.errors import LinkError
 from homography_servo.robot.protocol import ESTOP_BYTE
+from homography_servo.robot.protocol import NOT_NOW
 from homography_servo.robot.protocol import Notice
 from homography_servo.robot.protocol import VERSION
 from homography_servo.robot.session import Answer
@@ -187,10 +188,9 @@ class Link:
         """Let the greeting through first; a device that restarts needs a new one."""
         result: list[LinkEvent] = []
         for event in events:
-            if event == Notice('READY'):
-                if self.phase is Phase.UP:
-                    raise LinkError('the device has restarted')
-            elif self.phase is Phase.UP:
+            if self.phase is Phase.UP and (event == Notice('READY') or _ungreeted(event)):
+                raise LinkError('the device has restarted')
+            if self.phase is Phase.UP:
                 result.append(event)
             elif isinstance(event, Answer) and event.kind == 'HELLO':
                 result.append(self._greeted(event))
@@ -240,3 +240,9 @@ class Link:
         if self._transport is not None:
             self._transport.close()
         self._transport = None
+
+
+def _ungreeted(event: Event) -> bool:
+    """Tell whether a device refuses a question, as only one does that was not greeted."""
+    return isinstance(event, Answer) and event.kind == 'ERR' and event.text.startswith('?') \
+        and event.values[0] == NOT_NOW

@@ -564,6 +564,17 @@ def test_a_device_that_restarts_is_greeted_again_and_latched(rig):
     assert rig.device.machine.table.rows[0]['maxspd'] < 100  # told its limits again
 
 
+def test_a_device_that_restarts_unheard_is_greeted_again_and_latched(rig):
+    moving(rig)
+    rig.device.__init__()
+    rig.device.take()  # its READY is lost
+    rig.run(2.0)
+    assert rig.state.startswith('LATCHED')
+    assert rig.device.machine.table.rows[0]['maxspd'] < 100
+    rig.reset()
+    assert rig.state == 'IDLE'
+
+
 def test_a_refused_motion_latches_with_the_error(rig):
     rig.device.machine.table.rows[2]['maxpos'] = 10
     rig.send((1.0, [0.5] * 6))
