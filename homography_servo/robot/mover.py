@@ -193,7 +193,7 @@ class Mover:
         if self._pace is not None and np.array_equal(pace, self._pace):
             return True
         for line in self.wire.maxspd(pace):
-            self._pace_seq = self._link.request(line)
+            self._pace_seq = self._link.request(line, motion=True)
         self._pace = pace
         return False
 
@@ -256,8 +256,7 @@ class Mover:
 
     def rests(self, finished_seq: int, now_s: float) -> None:
         """Take note that the device is idle; the line that said so may have been lost."""
-        if self._pace_seq:
-            self._pace = self._pace if finished_seq == self._pace_seq else None
+        if finished_seq == self._pace_seq:
             self._pace_seq = 0
         if self._motion and self._motion.seq == finished_seq and not self._unanswered_seq:
             self.over(finished_seq, 'DONE', now_s)

@@ -297,6 +297,20 @@ def test_what_comes_after_a_stop_is_not_slow_whatever_was_under_way(rig, after_s
     assert rig.arm.positions == pytest.approx([1.2] * 6, abs=HALF_UNIT) and rig.state == 'IDLE'
 
 
+def test_a_pace_that_was_lost_is_not_told_again_after_a_stop(rig):
+    lost = lose_line(rig, b'maxspd')
+    rig.send((5.0, [0.2] * 6))
+    rig.run(0.02)
+    rig.driver.stop_now('a test')
+    rig.driver.reset(0.0)
+    rig.run(0.03)
+    assert lost and rig.state == 'IDLE'
+    points = (0.02, [0.001] * 6), (0.3, [0.001] * 6), (1.3, [0.6] * 6), (2.3, [1.2] * 6)
+    assert rig.send(*points) is None
+    rig.run(4.5)
+    assert rig.arm.positions == pytest.approx([1.2] * 6, abs=HALF_UNIT) and rig.state == 'IDLE'
+
+
 def test_a_command_to_where_it_stands_moves_nothing(rig):
     start_s = rig.now_s
     assert rig.go([0.0] * 6) is None
