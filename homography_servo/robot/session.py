@@ -67,6 +67,12 @@ class _Pending:
     due_s: float = 0.0
     sent: int = 0
 
+    @property
+    def orders(self) -> bool:
+        """Tell whether this is one of the orders of which the last must be the one in force."""
+        text = self.request.text
+        return text.startswith('!') and not text.startswith('!goto')
+
     def expects(self, kind: str) -> bool:
         verb = self.request.text.split(' ', 1)[0].lower()
         return kind in ('ERR', _KIND_OF_VERB.get(verb, 'OK'))
@@ -151,11 +157,26 @@ class Session:
                                 'asked twice')
             self.counts['repeats'] += 1
             out += b'\n' + self._sent(item, now_s)  # LF ends what noise may have begun
-        while self._waiting and len(self._unanswered) < WINDOW:
-            item = self._waiting.popleft()
-            self._unanswered[item.request.seq] = item
-            out += self._sent(item, now_s)
+        while len(self._unanswered) < WINDOW:
+            following = self._next()
+            if following is None:
+                break
+            self._waiting.remove(following)
+            self._unanswered[following.request.seq] = following
+            out += self._sent(following, now_s)
         return out
+
+    def _next(self) -> _Pending | None:
+        """
+        Give the line to send next, None where all have to wait.
+
+        An order waits for the answer of the one before it, which might be lost and be
+        repeated after it. Of what is behind, only motion goes on.
+        """
+        waits = any(item.orders for item in self._unanswered.values())
+        if not (self._waiting and self._waiting[0].orders and waits):
+            return self._waiting[0] if self._waiting else None
+        return next((item for item in self._waiting if item.motion and not item.orders), None)
 
     def _excuse(self, now_s: float) -> None:
         """Leave out time in which nobody looked: our absence is not the device's silence."""

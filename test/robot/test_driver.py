@@ -481,6 +481,23 @@ def test_pause_stands_and_going_on_ends_where_it_should(rig):
         assert rig.state == 'IDLE'
 
 
+@pytest.mark.parametrize('on', [False, True])
+@pytest.mark.parametrize('what', ['pause', 'power'])
+def test_the_last_order_is_in_force_even_if_the_one_before_was_lost(rig, what, on):
+    def order(value, then_s):
+        assert rig.driver.power(value) is None if what == 'power' else \
+            rig.driver.pause(value, rig.now_s) is None
+        rig.run(then_s)
+    moving(rig)
+    order(on, 0.1)
+    lost = lose_line(rig, b'!power' if what == 'power' else b'!resume' if on else b'!pause')
+    order(not on, 0.01)
+    order(on, 0.5)
+    machine = rig.device.machine
+    assert lost
+    assert (machine.paused if what == 'pause' else machine.table.rows[0]['power'] > 0) == on
+
+
 def test_power_off_ends_a_motion_and_refuses_others(rig):
     moving(rig)
     assert rig.driver.power(False) is None

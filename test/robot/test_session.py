@@ -44,6 +44,16 @@ def test_requests_are_numbered_and_at_most_four_wait_for_an_answer(session):
     assert not session.idle and session.feed(reply('6 OK')) and session.idle
 
 
+def test_an_order_waits_for_the_answer_of_the_one_before_it_and_motion_does_not(session):
+    for text in ('!pause', '?', '!resume', '?pos'):
+        session.request(text)
+    session.request('!goto 1 2', motion=True)
+    assert lines(session.due(0.0)) == ['1 !pause', '2 ?', '5 !goto 1 2']
+    assert lines(looked(session, 0.0, 0.1)) == ['1 !pause', '2 ?', '5 !goto 1 2']
+    session.feed(reply('1 OK'))
+    assert lines(session.due(0.1)) == ['3 !resume', '4 ?pos']
+
+
 def test_silence_means_one_repeat_and_then_death(session):
     session.request('?')
     assert lines(session.due(0.0)) == ['1 ?']
