@@ -35,6 +35,7 @@ from homography_servo.robot.port import PortSettings
 from homography_servo.robot.rivals import Rivals
 from homography_servo.robot.rivals import Turns
 from homography_servo.robot.robot_file import load_robot
+from homography_servo.robot.trajectory import MOST_POINTS
 from homography_servo.robot.trajectory import TrajectoryPoint
 from homography_servo.robot.trajectory import TrajectorySettings
 from homography_servo.robot.urdf import urdf_text
@@ -235,7 +236,7 @@ class RobixBridge(NodeKit, LifecycleNode):
                         ) -> Rejected | None:
         points = [TrajectoryPoint(seconds_from_duration(point.time_from_start),
                                   point.positions, point.velocities, point.accelerations,
-                                  point.effort) for point in msg.points]
+                                  point.effort) for point in msg.points[:MOST_POINTS + 1]]
         return driver.command(msg.joint_names, points, now_s,
                               seconds_from_stamp(msg.header.stamp),
                               1e-9 * self.get_clock().now().nanoseconds)

@@ -40,7 +40,10 @@ from homography_servo.robot.timing import TrajectorySettings
 from homography_servo.robot.timing import Wanted
 import numpy as np
 
-__all__ = ['accept', 'go_to', 'State', 'stop', 'Trajectory', 'TrajectoryPoint',
+# Judging these takes up to 0.07 s, in which nothing else is sent and a stop may have to wait.
+MOST_POINTS = 1000
+
+__all__ = ['accept', 'go_to', 'MOST_POINTS', 'State', 'stop', 'Trajectory', 'TrajectoryPoint',
            'TrajectorySettings']
 
 
@@ -83,6 +86,8 @@ def accept(limits: MotionLimits, names: Sequence[str], points: Sequence[Trajecto
     """
     if len(points) == 0:
         return stop(limits, start)
+    if len(points) > MOST_POINTS:
+        return Rejected(f'more than {MOST_POINTS} points')
     order = joint_order(limits, names)
     if isinstance(order, Rejected):
         return order

@@ -10,6 +10,7 @@ from homography_servo.robot.spline import monotone_velocities
 from homography_servo.robot.spline import Spline
 from homography_servo.robot.trajectory import accept
 from homography_servo.robot.trajectory import go_to
+from homography_servo.robot.trajectory import MOST_POINTS
 from homography_servo.robot.trajectory import State
 from homography_servo.robot.trajectory import stop
 from homography_servo.robot.trajectory import TrajectoryPoint
@@ -85,6 +86,12 @@ def test_what_is_wrong_is_refused_with_its_reason(points, reason):
     assert isinstance(refused, Rejected) and reason in refused.reason
     moving = State(np.full(6, 0.2), np.full(6, 0.5))
     assert isinstance(accept(LIMITS, NAMES, points, moving), Rejected)
+
+
+def test_what_would_take_too_long_to_judge_is_refused():
+    points = [point(0.1 * (k + 1), 0.0) for k in range(MOST_POINTS + 1)]
+    assert f'more than {MOST_POINTS} points' in accept(LIMITS, NAMES, points, REST).reason
+    assert accept(LIMITS, NAMES, points[1:], REST).duration_s == pytest.approx(points[-1].time_s)
 
 
 def test_wrong_names_are_refused():
