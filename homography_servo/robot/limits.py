@@ -7,6 +7,7 @@ at a limit is allowed, one that is over by any amount is not.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 import math
 from typing import Sequence
@@ -73,8 +74,7 @@ def joint_order(limits: MotionLimits, names: Sequence[str]) -> np.ndarray | Reje
     names = list(names)
     if not names:
         return Rejected('no joint names given')
-    twice = sorted({name for name in names if names.count(name) > 1}) \
-        if len(set(names)) != len(names) else []
+    twice = sorted(name for name, count in Counter(names).items() if count > 1)
     unknown = [name for name in names if name not in limits.names]
     missing = [name for name in limits.names if name not in names]
     for problem, what in ((unknown, 'unknown'), (twice, 'repeated'), (missing, 'missing')):

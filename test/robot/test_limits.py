@@ -86,6 +86,23 @@ def test_other_names_are_refused(change, reason):
     assert re.fullmatch(reason, problem.reason)
 
 
+class CountedName(str):
+    """A name that counts how often names are compared."""
+
+    compared = 0
+    __hash__ = str.__hash__
+
+    def __eq__(self, other):
+        CountedName.compared += 1
+        return str(self) == str(other)
+
+
+def test_many_names_are_refused_without_comparing_each_with_each():
+    names = [CountedName(f'other{k % 999}') for k in range(1000)]
+    assert '997 more unknown' in joint_order(LIMITS, names).reason
+    assert 0 < CountedName.compared < 20 * len(names)
+
+
 @pytest.mark.parametrize('times, reason', [
     ([0.1, 0.1], 'point 1 is at 0.1 s after 0.1 s'),
     ([0.0, 0.2, 0.1], 'point 2 is at 0.1 s after 0.2 s'),
