@@ -191,9 +191,11 @@ class SerialTransport:
         """Let a last stop byte out, but do not wait for a line that takes nothing."""
         try:
             until_s = time.monotonic() + DRAIN_S
-            while self._port.out_waiting and time.monotonic() < until_s:
+            while self._port.out_waiting:
+                if time.monotonic() >= until_s:
+                    termios.tcflush(self._fd, termios.TCOFLUSH)
+                    break
                 time.sleep(0.001)
-            termios.tcflush(self._fd, termios.TCIOFLUSH)
         except (OSError, termios.error):
             pass  # it is gone already
 

@@ -110,6 +110,15 @@ def test_a_full_line_takes_nothing_and_nobody_waits(line):
     assert time.monotonic() - start < 0.5
 
 
+def test_a_stop_just_before_the_end_is_heard_by_a_slow_device(line):
+    for _ in range(20):
+        transport = open_transport(line[1], 115200)
+        transport.write_now(b'\x18')
+        transport.close()
+        time.sleep(0.005)
+        assert os.read(line[0], 100) == b'\x18'
+
+
 def test_loop_url_gives_back_what_was_sent():
     transport = open_transport('loop://', 115200)
     assert transport.read() == b'' and transport.fileno() is None
