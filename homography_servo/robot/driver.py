@@ -170,7 +170,7 @@ class ArmDriver:
                 stamp_s: float = 0.0, ros_now_s: float = 0.0) -> Rejected | None:
         """Take a JointTrajectory; no points means stop."""
         with self._lock:
-            problem = self._refusal(now_s)
+            problem = self._refusal(now_s, paused_is_fine=not points)
             if problem is None and not points:
                 self._mover.brake(now_s)
                 self._in_a_row = 0

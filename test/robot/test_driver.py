@@ -481,6 +481,22 @@ def test_pause_stands_and_going_on_ends_where_it_should(rig):
         assert rig.state == 'IDLE'
 
 
+@pytest.mark.parametrize('points', [[(1.0, [0.5] * 6)], [(1.0, [-0.5] * 6), (2.0, [0.2] * 6)]])
+def test_what_is_stopped_while_it_is_paused_does_not_go_on(rig, points):
+    assert rig.send(*points) is None
+    rig.run(0.5)
+    rig.driver.pause(True, rig.now_s)
+    rig.run(0.4)
+    stood = rig.arm.positions
+    assert rig.driver.command((), (), rig.now_s) is None
+    rig.run(0.2)
+    assert rig.state == 'HOLD: paused' and rig.arm.positions == pytest.approx(stood, abs=HALF_UNIT)
+    rig.driver.pause(False, rig.now_s)
+    rig.run(3.0)
+    assert rig.state == 'IDLE'
+    assert np.abs(np.array(rig.arm.positions) - stood).max() < 0.12  # it brakes on the way
+
+
 @pytest.mark.parametrize('on', [False, True])
 @pytest.mark.parametrize('what', ['pause', 'power'])
 def test_the_last_order_is_in_force_even_if_the_one_before_was_lost(rig, what, on):
