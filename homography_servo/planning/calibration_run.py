@@ -118,6 +118,10 @@ class CalibrationRun:
 
     def _advance(self, now_s: float) -> None:
         trouble = self._watch.trouble(now_s, self._servo)
+        if self._watch.arm_latched:  # a reset moves nothing: somebody has to begin again
+            self._pending = Command()
+            self._finish(Rejected(trouble))
+            return
         if trouble:
             self._hold(trouble, now_s)
             return

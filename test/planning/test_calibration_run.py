@@ -96,3 +96,15 @@ def test_learner_agrees_with_every_posture_it_has_seen():
         assert np.linalg.norm(error[:3]) < 5e-4 and np.linalg.norm(error[3:]) < np.radians(0.8)
     far = pose_difference(ArmModel(ROBOT).pose(GOAL_RAD), truth.pose(GOAL_RAD))
     assert np.linalg.norm(far[:3]) > 5e-3
+
+
+def test_an_arm_that_is_latched_ends_it_and_a_reset_alone_moves_nothing(postures):
+    run, calibration = begun(postures)
+    run.run(1.0)
+    run.servo.watch.arm_latched = 'stopped by ~/stop'
+    latched_s = run.now_s
+    run.run(0.5)
+    run.servo.watch.arm_latched = ''
+    run.run(3.0)
+    assert not [at_s for at_s, c in run.commands if c.joints_rad is not None and at_s > latched_s]
+    assert 'stopped by ~/stop' in calibration.result.reason
