@@ -107,6 +107,8 @@ class PlanningDesk:
         """
         if isinstance(joints_rad, Rejected):
             return joints_rad
+        # A clock that was set back must not leave the motion in the future.
+        self._moved_stamp_s = min(self._moved_stamp_s, stamp_s)
         if self._joints is not None and \
                 np.abs(joints_rad - self._joints[0]).max() > MOVED_RAD:
             self._moved_stamp_s = stamp_s

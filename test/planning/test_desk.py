@@ -239,6 +239,17 @@ def test_pictures_from_before_the_arm_stopped_are_no_looks_at_rest():
     assert bench.desk.plan(100.0).ok
 
 
+def test_a_clock_set_back_leaves_no_motion_in_the_future():
+    bench = Bench()
+    bench.desk.set_goal_pose(GOAL)
+    bench.desk.set_joints(START_RAD + 0.1, 100.0, stamp_s=3650.0)
+    bench.desk.set_joints(START_RAD, 100.0, stamp_s=3651.0)
+    bench.desk.set_joints(START_RAD, 100.0, stamp_s=51.0)
+    for stamp_s in (51.2, 51.4, 51.6):
+        bench.desk.see(seen(START), 100.0, stamp_s)
+    assert bench.desk.plan(100.0).ok
+
+
 def test_what_the_tracker_says_of_its_corners_goes_into_the_pose():
     bench = Bench(corner_sigma_px=0.001)
     sure, unsure = (bench.desk.see(seen(START), 100.0, covariance_px2=sigma**2 * np.eye(8))
