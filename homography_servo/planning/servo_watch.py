@@ -42,7 +42,9 @@ class Sight:
             return Rejected(f'the image is {late_s:.3f} s older than the one before')
         if late_s >= 1.0:  # the clock was set back
             self.queue.clear()
-        self._in_a_row = 1 if now_s - self.received_s > timeout_s else self._in_a_row + 1
+        if now_s - self.received_s > timeout_s:
+            self._lost, self._in_a_row = True, 0
+        self._in_a_row += 1
         self._newest_s, self.received_s = stamp_s, now_s
         self.queue.append(StampedLook(stamp_s, look))
         return None
@@ -77,19 +79,24 @@ class Watch:
 
     def trouble(self, now_s: float, settings: ServoSettings) -> str:
         """Say why nothing may move now, empty when it may."""
+        # A loss counts as one even where something graver hides it.
+        unfelt, unseen = self._unfelt(now_s, settings), self.sight.trouble(now_s, settings)
         if self.arm_latched:
             return f'the arm is latched ({self.arm_latched}); call robix_bridge/reset'
         if self.paused:
             return 'paused by the operator'
         if self.focal_px is None:
             return 'no camera_info: the focal length is unknown'
+        return unfelt or unseen
+
+    def _unfelt(self, now_s: float, settings: ServoSettings) -> str:
         age_s = now_s - self.joints.received_s
-        if age_s > settings.joint_timeout_s:
-            if not self._joints_lost:
-                self._joints_lost, self._before_loss_rad = True, self.joints.latest_rad
-            return 'joint_states never came' if math.isinf(age_s) else \
-                f'no joint_states for more than {settings.joint_timeout_s:.2f} s'
-        return self.sight.trouble(now_s, settings)
+        if age_s <= settings.joint_timeout_s:
+            return ''
+        if not self._joints_lost:
+            self._joints_lost, self._before_loss_rad = True, self.joints.latest_rad
+        return 'joint_states never came' if math.isinf(age_s) else \
+            f'no joint_states for more than {settings.joint_timeout_s:.2f} s'
 
     def moved_unseen_rad(self) -> float:
         """Tell, once after each loss of joint_states, how far the arm moved meanwhile."""

@@ -147,6 +147,42 @@ def test_pause_holds_and_taking_it_back_goes_on():
     assert run.servo.state == DONE
 
 
+def test_sight_lost_in_a_pause_must_be_back_for_some_looks():
+    run = started()
+    run.servo.pause(True)
+    run.see = False
+    run.run(1.0)
+    run.see = True
+    run.run(0.1)  # three frames
+    run.servo.pause(False)
+    run.servo.tick(run.now_s)
+    assert 'waiting for 5' in run.servo.state_text
+
+
+def test_sight_lost_before_a_start_must_be_back_for_some_looks():
+    run = started()
+    run.servo.stop()
+    run.see = False
+    run.run(1.0)
+    run.see = True
+    run.run(0.1)  # three frames
+    assert 'waiting for 5' in run.servo.start(run.now_s).reason
+
+
+def test_arm_that_moved_unseen_in_a_pause_needs_a_new_start():
+    run = started()
+    run.servo.pause(True)
+    run.run(0.5)
+    run.feel = False
+    run.run(1.0)
+    run._motion._points = run._motion._points + 0.4
+    run.feel = True
+    run.run(1.0)
+    run.servo.pause(False)
+    run.run(1.0)
+    assert run.servo.state == FAILED and 'while joint_states were missing' in run.servo.reason
+
+
 def test_stop_is_immediate_and_final_until_start():
     run = started()
     run.servo.stop()
