@@ -109,6 +109,10 @@ class Pursuit:
         if index != self.index:
             self.aim_at(index)
 
+    def take_back_move(self) -> None:
+        """Note that the arm did not carry out the last move: it is no try to get there."""
+        self._attempt.moves = max(self._attempt.moves - 1, 0)
+
     def aim_from(self, joints_rad: np.ndarray) -> Decision:
         """Go for the pose that is to be met next from joints (n,) on a new path."""
         self.aim_at(next_pose(self.poses, self._filter.pose(joints_rad)))

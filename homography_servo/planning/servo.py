@@ -43,6 +43,7 @@ from homography_servo.robot.robot_file import Robot
 import numpy as np
 
 RETRY_S = 1.0
+UNRESTING = 'the arm does not come to rest'
 FLOW_REFRESH_S = 0.1  # a stream goes on without looks until vision is lost
 FLOW_LAST_S = 0.12  # the end of the way is left alone
 IDLE_LOOK_S = 0.1  # while nothing moves, a look now and then keeps the model right
@@ -218,9 +219,15 @@ class Servo:
         if self._moves.arrived or self._moves.stopped_short(now_s):
             self._enter_looking()  # wherever it stands: look where that is
         elif self._moves.overdue(now_s):
-            self._retry_s = now_s + RETRY_S
-            self._hold('the arm does not move; does the bridge take commands?'
-                       if self.watch.joints.still else 'the arm does not come to rest')
+            if not self._moves.began:
+                self._pursuit.take_back_move()
+            self._hold_for_a_while('the arm does not move; does the bridge take commands?'
+                                   if self.watch.joints.still else UNRESTING, now_s)
+
+    def _hold_for_a_while(self, reason: str, now_s: float) -> None:
+        """Hold for a reason that only trying again can tell to be gone."""
+        self._retry_s = now_s + RETRY_S
+        self._hold(reason)
 
     def _enter_looking(self) -> None:
         self.state, self.reason = LOOKING, ''

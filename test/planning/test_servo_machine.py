@@ -259,6 +259,16 @@ def test_arm_that_does_not_obey_holds_and_goes_on_when_it_does():
     assert run.servo.state == DONE
 
 
+def test_arm_that_does_not_obey_is_waited_for_as_long_as_it_takes():
+    run = started()
+    run.obey = False
+    run.run(60.0)
+    assert run.servo.active
+    run.obey = True
+    run.run(60.0, lambda: not run.servo.active)
+    assert run.servo.state == DONE
+
+
 def test_arm_that_moved_unseen_needs_a_new_start():
     run = started()
     run.feel = False
