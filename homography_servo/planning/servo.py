@@ -27,6 +27,7 @@ from homography_servo.planning.pursuit import Decision
 from homography_servo.planning.pursuit import Pursuit
 from homography_servo.planning.servo_looks import Looks
 from homography_servo.planning.servo_moves import Moves
+from homography_servo.planning.servo_moves import OVERDUE_S
 from homography_servo.planning.servo_settings import ServoSettings
 from homography_servo.planning.servo_state import ACTIVE
 from homography_servo.planning.servo_state import DONE
@@ -44,6 +45,8 @@ import numpy as np
 
 RETRY_S = 1.0
 UNRESTING = 'the arm does not come to rest'
+UNPAIRED = ('no image fits the joint_states of the arm at rest; do their time stamps come from '
+            'one clock?')
 FLOW_REFRESH_S = 0.1  # a stream goes on without looks until vision is lost
 FLOW_LAST_S = 0.12  # the end of the way is left alone
 IDLE_LOOK_S = 0.1  # while nothing moves, a look now and then keeps the model right
@@ -74,7 +77,7 @@ class Servo:
         self._moves = Moves(robot, self.watch)
         self._looks = Looks(self.watch, self.filter)
         self._pursuit = Pursuit(robot, self.watch, self.filter, self._moves)
-        self._retry_s = -math.inf
+        self._retry_s = self._looking_s = -math.inf
         self._pending: Command | None = None
 
     @property
@@ -154,7 +157,7 @@ class Servo:
         if trouble:
             return Rejected(trouble)
         self.watch.moved_unseen_rad()
-        self._enter_looking()
+        self._enter_looking(now_s)
         self._pursuit.aim_at(-1)
         return f'on the way along {len(self._pursuit.poses)} poses'
 
@@ -196,8 +199,8 @@ class Servo:
             self._flow_on(self._flow, now_s)
         elif self.state == MOVING:
             self._await_arrival(now_s)
-        if self.state == LOOKING and self._take_looks():
-            self._carry_out(self._pursuit.decide(self.settings), now_s)
+        if self.state == LOOKING:
+            self._look(now_s)
 
     def _hold(self, reason: str) -> None:
         if self.state != HOLD:
@@ -213,11 +216,11 @@ class Servo:
             self._end(FAILED, f'the arm moved by {math.degrees(moved_rad):.1f} deg while '
                       'joint_states were missing; start again')
         else:
-            self._enter_looking()
+            self._enter_looking(now_s)
 
     def _await_arrival(self, now_s: float) -> None:
         if self._moves.arrived or self._moves.stopped_short(now_s):
-            self._enter_looking()  # wherever it stands: look where that is
+            self._enter_looking(now_s)  # wherever it stands: look where that is
         elif self._moves.overdue(now_s):
             if not self._moves.began:
                 self._pursuit.take_back_move()
@@ -229,13 +232,22 @@ class Servo:
         self._retry_s = now_s + RETRY_S
         self._hold(reason)
 
-    def _enter_looking(self) -> None:
-        self.state, self.reason = LOOKING, ''
+    def _enter_looking(self, now_s: float) -> None:
+        self.state, self.reason, self._looking_s = LOOKING, '', now_s
 
-    def _take_looks(self) -> bool:
+    def _look(self, now_s: float) -> None:
         taken = self._looks.standing(self._moves.due_stamp_s, self.settings)
-        self._pursuit.count_looks(taken)
-        return taken > 0
+        if taken:
+            self._looking_s = now_s
+            self._pursuit.count_looks(taken)
+            self._carry_out(self._pursuit.decide(self.settings), now_s)
+        elif now_s > max(self._looking_s, self._moves.due_s) + self._patience_s:
+            self._hold_for_a_while(UNPAIRED if self.watch.joints.still else UNRESTING, now_s)
+
+    @property
+    def _patience_s(self) -> float:
+        """Give the time without a look at the standing arm after which something is wrong."""
+        return OVERDUE_S + self.settings.image_timeout_s + self.settings.settle_s
 
     def _carry_out(self, decision: Decision, now_s: float) -> None:
         if decision.state in (DONE, FAILED):
@@ -268,7 +280,7 @@ class Servo:
             settings.corner_speed_px_s, now_s)
         if command is None:  # look there; the step to the pose will name the joint
             self._flow, self._pending = None, Command()
-            self._enter_looking()
+            self._enter_looking(now_s)
             return
         self._pending = self._moves.follow(command, now_s)
 

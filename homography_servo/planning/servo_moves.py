@@ -39,7 +39,7 @@ class Moves:
         self._robot, self._watch = robot, watch
         self.target_rad: np.ndarray | None = None
         self._left_rad: np.ndarray | None = None  # where the joints were at the last command
-        self._due_s = self.due_stamp_s = -math.inf
+        self.due_s = self.due_stamp_s = -math.inf  # when it ends, by our clock and by stamps
 
     @property
     def goal_rad(self) -> np.ndarray:
@@ -67,11 +67,11 @@ class Moves:
 
     def stopped_short(self, now_s: float) -> bool:
         """Tell whether the joints went and stand, after their time, but elsewhere."""
-        return self._watch.joints.still and self.began and now_s > self._due_s + SHORT_S
+        return self._watch.joints.still and self.began and now_s > self.due_s + SHORT_S
 
     def overdue(self, now_s: float) -> bool:
         """Tell whether the joints should have arrived long ago."""
-        return now_s > self._due_s + OVERDUE_S
+        return now_s > self.due_s + OVERDUE_S
 
     def clock_set(self, jump_s: float) -> None:
         """Stay on the side of stamps whose clock was set."""
@@ -101,7 +101,7 @@ class Moves:
         """Note a command that is sent now."""
         joints = self._watch.joints
         self._left_rad, self.target_rad = joints.latest_rad, command.joints_rad
-        self._due_s = now_s + command.time_s
+        self.due_s = now_s + command.time_s
         self.due_stamp_s = joints.latest_stamp_s + command.time_s
         return command
 

@@ -269,6 +269,32 @@ def test_arm_that_does_not_obey_is_waited_for_as_long_as_it_takes():
     assert run.servo.state == DONE
 
 
+def test_arm_that_never_rests_is_said_and_waited_for():
+    run = world()
+    rng, joints_at = np.random.default_rng(0), run.joints_at
+    run.joints_at = lambda time_s: joints_at(time_s) + 1e-3 * rng.normal(size=6)
+    run.run(0.4)
+    assert run.servo.start(run.now_s)
+    run.run(3.0)
+    assert any(text == 'HOLD: the arm does not come to rest' for _, text in run.states)
+    run.joints_at = joints_at
+    run.run(60.0, lambda: not run.servo.active)
+    assert run.servo.state == DONE
+
+
+@pytest.mark.parametrize('ahead_s', (-10.0, 10.0))
+def test_images_by_another_clock_than_the_joints_are_said(ahead_s):
+    run = world()
+    add_look = run.servo.add_look
+    run.servo.add_look = lambda pose, covariance, stamp_s, now_s: add_look(
+        pose, covariance, stamp_s + ahead_s, now_s)
+    run.run(0.4)
+    assert run.servo.start(run.now_s)
+    run.run(3.0)
+    assert any('one clock' in text for _, text in run.states)
+    assert not moves(run)
+
+
 def test_arm_that_moved_unseen_needs_a_new_start():
     run = started()
     run.feel = False
