@@ -22,6 +22,8 @@ from homography_servo.planning.control import damped_step
 from homography_servo.planning.control import displacement
 from homography_servo.planning.control import LENGTH_M
 from homography_servo.planning.control import rays_at
+from homography_servo.planning.servo_moves import ARRIVED_RAD
+from homography_servo.planning.servo_moves import OVERDUE_S
 from homography_servo.robot.robot_file import Robot
 import numpy as np
 
@@ -114,6 +116,8 @@ class Flow:
         self.sent_s = -np.inf
         self.ends = False  # what was sent reaches the end of the path
         self._began_share = 0.0
+        self._left_rad: np.ndarray | None = None  # where the arm was last seen to move
+        self._left_due_s = math.inf  # when what was sent there was to end
         self._times_s, self._shares = np.zeros(0), np.zeros(0)
         self.follow(path, index)
 
@@ -134,6 +138,10 @@ class Flow:
         self._sent = np.zeros(0, dtype=int)  # poses that the last command goes through
         # What was solved last: poses of the path, and their joints.
         self._window, self._joints_rad = self._sent, np.zeros((0, self._robot.count))
+
+    def unheeded(self, now_s: float) -> bool:
+        """Tell whether the arm has not begun what it should have ended long ago."""
+        return now_s > self._left_due_s + OVERDUE_S
 
     def _share(self, now_s: float) -> float:
         if not len(self._times_s):
@@ -178,6 +186,8 @@ class Flow:
         by_tracker = corner_speed_px_s * lengths_s / np.maximum(travel_px, 1e-6)
         caps = np.maximum(np.minimum(speed_share, by_tracker), 0.01)
         way = timed(self._robot, here_rad, share, points, caps)
+        if self._left_rad is None or np.abs(here_rad - self._left_rad).max() > ARRIVED_RAD:
+            self._left_rad, self._left_due_s = here_rad, now_s + float(way.times_s[-1])
         self.sent_s, self._began_share = now_s, share
         self._times_s, self._shares = way.times_s, way.shares
         self._sent = sent = self._window[:len(points)]

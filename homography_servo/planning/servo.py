@@ -44,6 +44,7 @@ from homography_servo.robot.robot_file import Robot
 import numpy as np
 
 RETRY_S = 1.0
+UNMOVED = 'the arm does not move; does the bridge take commands?'
 UNRESTING = 'the arm does not come to rest'
 UNPAIRED = ('no image fits the joint_states of the arm at rest; do their time stamps come from '
             'one clock?')
@@ -224,8 +225,7 @@ class Servo:
         elif self._moves.overdue(now_s):
             if not self._moves.began:
                 self._pursuit.take_back_move()
-            self._hold_for_a_while('the arm does not move; does the bridge take commands?'
-                                   if self.watch.joints.still else UNRESTING, now_s)
+            self._hold_for_a_while(UNMOVED if self.watch.joints.still else UNRESTING, now_s)
 
     def _hold_for_a_while(self, reason: str, now_s: float) -> None:
         """Hold for a reason that only trying again can tell to be gone."""
@@ -267,7 +267,9 @@ class Servo:
         flow.advance(now_s)
         self._pursuit.go_on_to(flow.index)
         seen = self._look_on_the_way()
-        if flow.ends and now_s > flow.ends_s - FLOW_LAST_S:
+        if flow.unheeded(now_s):
+            self._hold_for_a_while(UNMOVED, now_s)
+        elif flow.ends and now_s > flow.ends_s - FLOW_LAST_S:
             self._flow = None
             self._pursuit.go_on_to(len(self._pursuit.poses) - 1)
         elif seen or now_s > flow.sent_s + FLOW_REFRESH_S:

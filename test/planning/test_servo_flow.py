@@ -57,6 +57,17 @@ def test_timing_keeps_speed_and_acceleration_and_ends_at_rest(share):
     assert rise.max() <= 0.7 * largest
 
 
+def test_arm_that_does_not_obey_holds_and_goes_on_when_it_does():
+    run = started(0.8)
+    run.obey = False
+    run.run(3.0)
+    assert any(text.startswith('HOLD: the arm does not move') for _, text in run.states)
+    run.obey = True
+    run.run(60.0, lambda: not run.servo.active)
+    assert run.servo.state == DONE
+    assert all(e < bound for e, bound in zip(final_errors(run), FINAL))
+
+
 def test_timing_slows_down_in_a_bend():
     there = START_RAD + np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
     straight = np.array([START_RAD + 0.5 * (there - START_RAD), there])
