@@ -126,6 +126,11 @@ class Flow:
         """Give the time at which what was sent comes to rest."""
         return self.sent_s + (self._times_s[-1] if len(self._times_s) else 0.0)
 
+    @property
+    def last(self) -> int:
+        """Give the pose at which what was sent comes to rest."""
+        return int(self._sent[-1]) if len(self._sent) else self.index
+
     def follow(self, path: np.ndarray, index: int) -> None:
         """Go over to another path without a stop."""
         self._path, self.index, self.ends = path, index, False

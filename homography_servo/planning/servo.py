@@ -269,9 +269,10 @@ class Servo:
         seen = self._look_on_the_way()
         if flow.unheeded(now_s):
             self._hold_for_a_while(UNMOVED, now_s)
-        elif flow.ends and now_s > flow.ends_s - FLOW_LAST_S:
+        elif self.settings.mode != 'continuous' or \
+                flow.ends and now_s > flow.ends_s - FLOW_LAST_S:
             self._flow = None
-            self._pursuit.go_on_to(len(self._pursuit.poses) - 1)
+            self._pursuit.go_on_to(flow.last)
         elif seen or now_s > flow.sent_s + FLOW_REFRESH_S:
             self._send_flow(flow, now_s)
 

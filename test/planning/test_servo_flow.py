@@ -68,6 +68,17 @@ def test_arm_that_does_not_obey_holds_and_goes_on_when_it_does():
     assert all(e < bound for e, bound in zip(final_errors(run), FINAL))
 
 
+def test_mode_changed_on_the_way_ends_the_stream_at_the_next_poses():
+    run = started(0.3)
+    at_s = run.now_s
+    run.servo.settings = ServoSettings()
+    run.run(60.0, lambda: not run.servo.active)
+    assert run.servo.state == DONE
+    looked_s = [time_s for time_s, text in run.states if time_s > at_s and text == 'LOOKING']
+    assert len(looked_s) > 10 and looked_s[0] - at_s < 1.0
+    assert not [c for _, c in run.commands if c.joints_rad is None]
+
+
 def test_timing_slows_down_in_a_bend():
     there = START_RAD + np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
     straight = np.array([START_RAD + 0.5 * (there - START_RAD), there])
