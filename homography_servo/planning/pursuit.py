@@ -96,6 +96,11 @@ class Pursuit:
         """Tell whether the last pose is aimed at."""
         return self.index == len(self.poses) - 1
 
+    @property
+    def led(self) -> bool:
+        """Tell whether the path has to be gone from rest to rest, led by planned joints."""
+        return self._lead.needed
+
     def take(self, poses: np.ndarray | None, lead: JointLead) -> None:
         """Take a path (N, 4, 4), or none."""
         self._path, self._lead = poses, lead
@@ -187,7 +192,7 @@ class Pursuit:
         if not self._lead.passes(self.index):
             self._lead.note(self.index, self._watch.joints.known_rad)
         self.aim_at(self.index + 1)
-        if settings.mode == 'continuous' and not self._lead.needed:
+        if settings.mode == 'continuous' and not self.led:
             return Decision(MOVING)
         return self._move(settings, math.inf)
 

@@ -118,6 +118,11 @@ class Servo:
         if self._veto:
             self._end(FAILED, f'the new path is vetoed: {self._veto}')
             return
+        if self._flow is not None and self._pursuit.led:  # joints lead from rest to rest
+            self._flow, self._pending = None, Command()
+            self._enter_looking()
+            self._pursuit.aim_at(-1)
+            return
         standing = self._flow is not None or self.state != MOVING
         aimed = self._pursuit.aim_from(
             self.watch.joints.known_rad if standing else self._moves.goal_rad)
@@ -232,7 +237,7 @@ class Servo:
         self._retry_s = now_s + RETRY_S
         self._hold(reason)
 
-    def _enter_looking(self, now_s: float) -> None:
+    def _enter_looking(self, now_s: float = -math.inf) -> None:
         self.state, self.reason, self._looking_s = LOOKING, '', now_s
 
     def _look(self, now_s: float) -> None:

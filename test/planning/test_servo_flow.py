@@ -7,6 +7,8 @@ from homography_servo.planning.control import displacement
 from homography_servo.planning.control import errors_of
 from homography_servo.planning.flow import Flow
 from homography_servo.planning.flow import timed
+from homography_servo.planning.follow import follow
+from homography_servo.planning.joint_lead import JointLead
 from homography_servo.planning.servo_settings import ServoSettings
 from homography_servo.planning.servo_state import DONE
 from homography_servo.planning.servo_state import FAILED
@@ -77,6 +79,22 @@ def test_mode_changed_on_the_way_ends_the_stream_at_the_next_poses():
     looked_s = [time_s for time_s, text in run.states if time_s > at_s and text == 'LOOKING']
     assert len(looked_s) > 10 and looked_s[0] - at_s < 1.0
     assert not [c for _, c in run.commands if c.joints_rad is None]
+
+
+def test_new_path_past_a_singularity_ends_the_stream():
+    """Planned joints have to lead there, from rest to rest."""
+    run = started(0.8)
+    path = straight_path(run.truth)
+    joints_rad = follow(ROBOT, path, START_RAD).joints_rad
+    led = np.zeros(31, dtype=bool)
+    led[26] = True
+    run.servo.set_path(path, True, '', JointLead(joints_rad, led))
+    sent = len(run.commands)
+    run.run(60.0, lambda: not run.servo.active)
+    assert run.servo.state == DONE
+    targets = [c.points_rad for _, c in run.commands[sent:] if c.joints_rad is not None]
+    assert max(len(points) for points in targets) == 1
+    assert min(np.abs(points - joints_rad[26]).max() for points in targets) < 0.01
 
 
 def test_timing_slows_down_in_a_bend():
