@@ -118,6 +118,8 @@ class Servo:
         if self._veto:
             self._end(FAILED, f'the new path is vetoed: {self._veto}')
             return
+        if self._pursuit.index < 0:  # the first look chooses, and tells how far it is
+            return
         if self._flow is not None and self._pursuit.led:  # joints lead from rest to rest
             self._flow, self._pending = None, Command()
             self._enter_looking()

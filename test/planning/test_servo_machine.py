@@ -241,6 +241,18 @@ def test_new_path_in_mid_motion_is_taken_over_without_a_stop():
         errors_of(displacement(run.true_pose, path[-1])), FINAL))
 
 
+def test_new_path_between_start_and_first_look_is_not_gone_to_from_afar():
+    run = world()
+    run.run(0.4)
+    assert run.servo.start(run.now_s)
+    away = straight_path(run.truth)
+    away[:, 0, 3] += 0.2
+    run.servo.set_path(away, True, '')
+    run.run(10.0, lambda: not run.servo.active)
+    assert run.servo.state == FAILED and '200 mm' in run.servo.reason
+    assert not moves(run)
+
+
 def test_new_veto_in_mid_motion_stops():
     run = started()
     run.servo.set_path(straight_path(run.truth), False, 'pose 7 leaves the image')
