@@ -153,8 +153,8 @@ class Pursuit:
         agrees = self._filter.agrees
         sure = agrees and unsure <= settings.sure_share
         enough = attempt.looks >= (settings.final_looks if last else 1)
-        if over <= 1.0 and sure and enough:
-            return self._reached(settings)
+        if over <= 1.0 and sure:
+            return self._reached(settings) if enough else MORE_LOOKS
         if agrees and (over > 1.0 + 2.0 * unsure or (over > 1.0 and sure)):
             return self._move(settings, over)
         if attempt.looks >= settings.looks_max:

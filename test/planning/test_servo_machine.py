@@ -324,6 +324,13 @@ def test_noise_above_the_tolerance_is_said():
     assert 'cannot be reached with this noise' in run.servo.reason
 
 
+def test_more_looks_asked_for_at_the_end_than_allowed_blames_no_noise():
+    run = world(settings=ServoSettings(final_looks=100))
+    run.finish()
+    assert run.servo.state == DONE, run.servo.state_text
+    assert run.servo.progress.looks >= 100
+
+
 def test_joint_at_its_limit_is_named():
     start = START_RAD.copy()
     start[0] = np.radians(60.0)
