@@ -19,6 +19,7 @@ import numpy as np
 LENGTH_M = 0.1  # 1 rad of rotation weighs as much as this displacement
 SINGULAR = 0.002  # smallest singular value (m and LENGTH_M rad per rad) without damping
 DAMPING = 0.002  # as small as the limit of the verdict, conditioning_min * LENGTH_M
+AT_FIRST = 0.3  # rad, or units of LENGTH_M: further from the first pose is not at its place
 MODEL_STEPS = 12
 LARGEST_MODEL_STEP_RAD = 0.3
 _SCALE = np.array([1.0] * 3 + [LENGTH_M] * 3)
@@ -71,7 +72,8 @@ def next_pose(path: np.ndarray, here: np.ndarray) -> int:
                    np.linalg.norm(away[:, 3:], axis=1))
     spacing = np.median(np.abs(np.diff(far))) if len(far) > 1 else 0.0
     nearest = int(np.argmin(far))
-    return 0 if far[0] <= far[nearest] + 1.5 * spacing else nearest
+    slack = min(1.5 * spacing, AT_FIRST)
+    return 0 if far[0] <= far[nearest] + slack else nearest
 
 
 def sigmas_of(covariance: np.ndarray) -> Errors:

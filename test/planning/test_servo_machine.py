@@ -230,6 +230,15 @@ def test_start_far_from_the_path_fails_with_the_distance():
     assert not moves(run)
 
 
+@pytest.mark.parametrize('count', (2, 3))
+@pytest.mark.parametrize('mode', ('look_then_move', 'continuous'))
+def test_start_at_the_goal_of_a_path_of_few_poses_is_done(count, mode):
+    run = world(count=count, settings=ServoSettings(mode=mode))
+    run.finish()
+    run.finish()
+    assert run.servo.state == DONE, run.servo.state_text
+
+
 def test_new_path_in_mid_motion_is_taken_over_without_a_stop():
     run = started(3.0)
     halfway = 0.5 * (START_RAD + GOAL_RAD)
