@@ -52,12 +52,19 @@ class ServoSettings(Settings):
     speed_share: float = real(1.0, 0.01, 1.0, '', 'share of the speed and acceleration limits')
     start_distance_m: float = real(0.03, 0.001, 1.0, 'm', 'how far from the path it may start')
     start_angle_deg: float = real(15.0, 0.1, 90.0, 'deg', 'how far from the path it may start')
-    drift: float = real(0.01, 0.0, 1.0, '', 'share of the motion by which the model may err')
-    placement_sigma_m: float = real(0.03, 0.0, 1.0, 'm', 'how well home_from_base is known')
-    placement_sigma_deg: float = real(5.0, 0.0, 90.0, 'deg', 'how well home_from_base is known')
-    joint_sigma_deg: float = real(1.0, 0.0, 45.0, 'deg', 'how well the joint zeros are known')
-    grip_sigma_m: float = real(0.01, 0.0, 1.0, 'm', 'how well tool_from_object is known')
-    grip_sigma_deg: float = real(2.5, 0.0, 90.0, 'deg', 'how well tool_from_object is known')
+    # The filter of the looks is made with these, once.
+    drift: float = real(0.01, 0.0, 1.0, '', 'share of the motion by which the model may err',
+                        read_only=True)
+    placement_sigma_m: float = real(0.03, 0.0, 1.0, 'm', 'how well home_from_base is known',
+                                    read_only=True)
+    placement_sigma_deg: float = real(5.0, 0.0, 90.0, 'deg', 'how well home_from_base is known',
+                                      read_only=True)
+    joint_sigma_deg: float = real(1.0, 0.0, 45.0, 'deg', 'how well the joint zeros are known',
+                                  read_only=True)
+    grip_sigma_m: float = real(0.01, 0.0, 1.0, 'm', 'how well tool_from_object is known',
+                               read_only=True)
+    grip_sigma_deg: float = real(2.5, 0.0, 90.0, 'deg', 'how well tool_from_object is known',
+                                 read_only=True)
 
     @property
     def tolerance(self) -> Errors:

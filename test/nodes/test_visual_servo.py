@@ -29,6 +29,10 @@ from homography_servo.planning.arm_model import ArmModel  # noqa: E402
 from homography_servo.planning.command import Command  # noqa: E402
 from homography_servo.robot.robot_file import load_robot  # noqa: E402
 from homography_servo.robot.robot_file import save_robot  # noqa: E402
+from rcl_interfaces.msg import Parameter  # noqa: E402
+from rcl_interfaces.msg import ParameterType  # noqa: E402
+from rcl_interfaces.msg import ParameterValue  # noqa: E402
+from rcl_interfaces.srv import SetParameters  # noqa: E402
 from sensor_msgs.msg import CameraInfo  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from servo_setup import camera  # noqa: E402
@@ -183,6 +187,15 @@ def test_pause_stop_and_rubbish(rig):
     rig.probe.wait(lambda: rig.state in ('MOVING', 'LOOKING', 'DONE'), 'does not go on')
     assert rig.call('stop').success
     rig.probe.wait(lambda: rig.state == 'IDLE', 'not stopped')
+
+
+def test_what_the_filter_is_made_with_cannot_be_set_later(rig):
+    for name in ('drift', 'joint_sigma_deg'):
+        parameter = Parameter(name=name, value=ParameterValue(
+            type=ParameterType.PARAMETER_DOUBLE, double_value=0.5))
+        answer = rig.probe.call(SetParameters, 'visual_servo/set_parameters',
+                                SetParameters.Request(parameters=[parameter]))
+        assert not answer.results[0].successful, name
 
 
 def test_ctrl_c_on_the_way_stops_the_arm_and_exits_cleanly(rig):
