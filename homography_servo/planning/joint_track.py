@@ -14,7 +14,7 @@ from homography_servo.result import Rejected
 from homography_servo.result import required
 import numpy as np
 
-KEPT = 200
+KEPT_S = 4.0
 STILL_RAD = 2e-4  # half a unit of a hobby servo is 5e-4
 CLOCK_JUMP_S = 1.0
 
@@ -23,7 +23,7 @@ class JointTrack:
     """A short history of joint states."""
 
     def __init__(self) -> None:
-        self._samples: deque[tuple[float, np.ndarray]] = deque(maxlen=KEPT)
+        self._samples: deque[tuple[float, np.ndarray]] = deque()
         self.received_s = -math.inf
         self.still_since_s = math.inf  # stamp; infinite while moving or unknown
 
@@ -57,6 +57,8 @@ class JointTrack:
                 return Rejected(f'joint state is {late_s:.3f} s older than the one before')
         self._note_motion(joints_rad, stamp_s)
         self._samples.append((stamp_s, joints_rad))
+        while stamp_s - self._samples[0][0] > KEPT_S:
+            self._samples.popleft()
         self.received_s = now_s
         return None
 

@@ -5,6 +5,7 @@ import math
 from homography_servo.planning.arm_model import ArmModel
 from homography_servo.planning.control import displacement
 from homography_servo.planning.control import errors_of
+from homography_servo.planning.joint_track import JointTrack
 from homography_servo.planning.servo import Servo
 from homography_servo.planning.servo_settings import ServoSettings
 from homography_servo.planning.servo_state import DONE
@@ -367,6 +368,14 @@ def test_bad_stamps_of_images_are_refused(stamp_s, word):
     servo, pose, covariance = Servo(ROBOT), np.eye(4), 1e-6 * np.eye(6)
     assert servo.add_look(pose, covariance, 5.2, 1.0) is None
     assert word in servo.add_look(pose, covariance, stamp_s, 1.1).reason
+
+
+def test_late_images_fit_joint_states_of_any_rate():
+    track = JointTrack()
+    for tick in range(10000):
+        assert track.add(START_RAD + 1e-3 * tick, 1e-3 * tick, 1e-3 * tick) is None
+    assert track.at(9.5) == pytest.approx(START_RAD + 9.5)
+    assert track.at(9.0) is not None and track.at(1.0) is None
 
 
 def test_bad_joint_states_are_refused():
