@@ -11,6 +11,7 @@ from homography_servo.geometry.camera import Camera
 from homography_servo.geometry.pose import PoseEstimate
 from homography_servo.planning.feasibility import goal_fault
 from homography_servo.planning.feasibility import look
+from homography_servo.planning.joint_track import STILL_RAD
 from homography_servo.planning.model_learner import KnownLook
 from homography_servo.planning.model_learner import learned
 from homography_servo.planning.observer import Observer
@@ -27,7 +28,6 @@ from homography_servo.robot.robot_file import Robot
 import numpy as np
 
 JOINTS_FRESH_S = 0.25
-MOVED_RAD = 1e-5
 _CLEARLY_WORSE = 9.0  # in chi-squared: three standard deviations
 _NO_CAMERA = 'no camera_info yet: nothing can be measured or planned without the camera model'
 _NO_GOAL = 'no goal: call ~/teach_goal or send goal/corners or goal/pose'
@@ -56,6 +56,7 @@ class PlanningDesk:
         self._settings = settings
         self.camera: Camera | None = None
         self._joints: tuple[np.ndarray, float] | None = None
+        self._rest_rad: np.ndarray | None = None  # joints when they were last seen to move
         self._moved_stamp_s = -np.inf
         self.goal: np.ndarray | Rejected = Rejected(_NO_GOAL)
         self._goal_joints_rad: np.ndarray | None = None  # where the arm stood at the goal
@@ -109,9 +110,10 @@ class PlanningDesk:
             return joints_rad
         # A clock that was set back must not leave the motion in the future.
         self._moved_stamp_s = min(self._moved_stamp_s, stamp_s)
-        if self._joints is not None and \
-                np.abs(joints_rad - self._joints[0]).max() > MOVED_RAD:
-            self._moved_stamp_s = stamp_s
+        if self._rest_rad is None:
+            self._rest_rad = joints_rad
+        elif np.abs(joints_rad - self._rest_rad).max() > STILL_RAD:
+            self._rest_rad, self._moved_stamp_s = joints_rad, stamp_s
         self._joints = (joints_rad, now_s)
         return None
 

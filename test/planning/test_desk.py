@@ -239,6 +239,26 @@ def test_pictures_from_before_the_arm_stopped_are_no_looks_at_rest():
     assert bench.desk.plan(100.0).ok
 
 
+def test_joints_that_are_measured_with_noise_are_at_rest():
+    bench = Bench()
+    bench.desk.set_goal_pose(GOAL)
+    for stamp_s in np.arange(50.0, 51.0, 0.1):
+        noisy_rad = START_RAD + bench.rng.uniform(-5e-5, 5e-5, 6)
+        bench.desk.set_joints(noisy_rad, 100.0, stamp_s)
+        bench.desk.see(seen(START), 100.0, stamp_s - 0.03)
+    assert bench.desk.plan(100.0).ok
+
+
+def test_slow_motion_is_no_rest_however_often_joints_come():
+    bench = Bench()
+    bench.desk.set_goal_pose(GOAL)
+    for stamp_s in np.arange(50.0, 51.0, 0.001):
+        bench.desk.set_joints(START_RAD + 0.05 * (stamp_s - 51.0), 100.0, stamp_s)
+        if round(1000.0 * stamp_s) % 100 == 0:
+            bench.desk.see(seen(START), 100.0, stamp_s - 0.03)
+    assert 'only 1 of 3 good looks' in bench.desk.plan(100.0).reason
+
+
 def test_a_clock_set_back_leaves_no_motion_in_the_future():
     bench = Bench()
     bench.desk.set_goal_pose(GOAL)
