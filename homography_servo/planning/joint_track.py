@@ -26,6 +26,7 @@ class JointTrack:
         self._samples: deque[tuple[float, np.ndarray]] = deque()
         self.received_s = -math.inf
         self.still_since_s = math.inf  # stamp; infinite while moving or unknown
+        self._rest_rad = np.zeros(0)  # where they were last seen to move
 
     @property
     def latest_rad(self) -> np.ndarray | None:
@@ -78,14 +79,10 @@ class JointTrack:
         return self.known_rad + late_s * self.velocity_rad_s
 
     def _note_motion(self, joints_rad: np.ndarray, stamp_s: float) -> None:
-        if not self._samples:
-            self.still_since_s = math.inf
-            return
-        last_s, last_rad = self._samples[-1]
-        if np.abs(joints_rad - last_rad).max() > STILL_RAD:
-            self.still_since_s = math.inf
+        if not self._samples or np.abs(joints_rad - self._rest_rad).max() > STILL_RAD:
+            self.still_since_s, self._rest_rad = math.inf, joints_rad
         elif math.isinf(self.still_since_s):
-            self.still_since_s = last_s
+            self.still_since_s = self.latest_stamp_s
 
     def at(self, stamp_s: float, ahead_s: float = 0.0) -> np.ndarray | None:
         """

@@ -378,6 +378,17 @@ def test_late_images_fit_joint_states_of_any_rate():
     assert track.at(9.0) is not None and track.at(1.0) is None
 
 
+@pytest.mark.parametrize('rate_hz', (50.0, 1000.0))
+def test_slow_motion_is_no_rest_however_often_joints_come(rate_hz):
+    track = JointTrack()
+    for stamp_s in np.arange(1.0, 2.0, 1.0 / rate_hz):
+        track.add(START_RAD + 0.05 * stamp_s, stamp_s, stamp_s)
+        assert track.still_since_s == math.inf or stamp_s - track.still_since_s < 0.01
+    for stamp_s in np.arange(2.0, 2.1, 1.0 / rate_hz):
+        track.add(START_RAD + 0.1, stamp_s, stamp_s)
+    assert track.still_since_s == pytest.approx(2.0)
+
+
 def test_bad_joint_states_are_refused():
     servo = Servo(ROBOT)
     assert servo.add_joints(START_RAD, 5.0, 1.0) is None
