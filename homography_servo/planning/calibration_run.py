@@ -139,10 +139,10 @@ class CalibrationRun:
     def _hold(self, reason: str, now_s: float) -> None:
         if self.state != HOLD:
             self._pending = Command()
+        if self.state != HOLD or self._watch.paused:
             self._blind_since_s = now_s
         self.state, self.reason = HOLD, reason
-        if now_s - self._blind_since_s > self._settings.calibration_lost_s \
-                and not self._watch.paused:
+        if now_s - self._blind_since_s > self._settings.calibration_lost_s:
             self._pending = Command()
             self._finish(Rejected(f'at posture {self._index + 1} of {len(self._postures_rad)}: '
                                   f'{reason}'))

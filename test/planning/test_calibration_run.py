@@ -108,3 +108,18 @@ def test_an_arm_that_is_latched_ends_it_and_a_reset_alone_moves_nothing(postures
     run.run(3.0)
     assert not [at_s for at_s, c in run.commands if c.joints_rad is not None and at_s > latched_s]
     assert 'stopped by ~/stop' in calibration.result.reason
+
+
+def test_a_pause_is_no_time_out_of_sight(postures):
+    run, calibration = begun(postures)
+    run.run(1.0)
+    run.servo.watch.paused = True
+    run.run(10.0)
+    run.see = False
+    run.run(0.5)
+    run.servo.watch.paused = False
+    run.run(1.0)
+    assert calibration.state_text.startswith('HOLD: the object is out of sight')
+    run.see = True
+    run.run(1.0)
+    assert calibration.active and not calibration.state_text.startswith('HOLD')
