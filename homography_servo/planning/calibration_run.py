@@ -83,7 +83,7 @@ class CalibrationRun:
         self._index = -1
         self._rays: list[np.ndarray] = []
         self._seen: list[tuple[np.ndarray, np.ndarray]] = []  # joints, mean rays
-        self._due_s = self._due_stamp_s = -math.inf
+        self._due_s = self._due_unset_s = -math.inf  # the latter by stamps, were no clock set
         self._blind_since_s = math.inf
         self._pending: Command | None = None
         self._go_next = True
@@ -147,6 +147,10 @@ class CalibrationRun:
             self._finish(Rejected(f'at posture {self._index + 1} of {len(self._postures_rad)}: '
                                   f'{reason}'))
 
+    @property
+    def _due_stamp_s(self) -> float:
+        return self._due_unset_s + self._watch.joints.clock_set_s
+
     def _next(self, now_s: float) -> None:
         self._go_next = False
         self._index += 1
@@ -162,7 +166,8 @@ class CalibrationRun:
             self._model, here, target, self.robot.object_points_m, self.robot.home_depth_m)
         time_s = max(SHORTEST_MOVE_S, move_time(self.robot, target - here)
                      / self._servo.speed_share, 1.5 * travel_px / self._servo.corner_speed_px_s)
-        self._due_s, self._due_stamp_s = now_s + time_s, joints.latest_stamp_s + time_s
+        self._due_s = now_s + time_s
+        self._due_unset_s = joints.latest_stamp_s + time_s - joints.clock_set_s
         self._rays = []
         self._watch.sight.queue.clear()
         self.state, self.reason = MOVING, ''

@@ -25,6 +25,7 @@ class JointTrack:
     def __init__(self) -> None:
         self._samples: deque[tuple[float, np.ndarray]] = deque()
         self.received_s = -math.inf
+        self.clock_set_s = 0.0  # by which stamps were set forward, all in all
         self.still_since_s = math.inf  # stamp; infinite while moving or unknown
         self._rest_rad = np.zeros(0)  # where they were last seen to move
 
@@ -53,6 +54,7 @@ class JointTrack:
         if self._samples:
             late_s = self.latest_stamp_s - stamp_s
             if abs(late_s) > CLOCK_JUMP_S:
+                self.clock_set_s -= late_s
                 self._samples.clear()  # the clock was set: old stamps mean nothing now
             elif late_s >= 0.0:
                 return Rejected(f'joint state is {late_s:.3f} s older than the one before')

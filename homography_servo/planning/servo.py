@@ -20,7 +20,6 @@ from homography_servo.planning.arm_model import ArmModel
 from homography_servo.planning.command import Command
 from homography_servo.planning.flow import Flow
 from homography_servo.planning.joint_lead import JointLead
-from homography_servo.planning.joint_track import CLOCK_JUMP_S
 from homography_servo.planning.look_filter import look_from_pose
 from homography_servo.planning.look_filter import LookFilter
 from homography_servo.planning.pursuit import Decision
@@ -139,10 +138,9 @@ class Servo:
         if not np.isfinite(joints_rad).all():
             return Rejected('a joint position is not a finite number')
         joints = self.watch.joints
-        before_s = joints.latest_stamp_s
+        before_s = joints.clock_set_s
         rejected = joints.add(np.array(joints_rad, dtype=float), stamp_s, now_s)
-        if not rejected and abs(stamp_s - before_s) > CLOCK_JUMP_S:
-            self._moves.clock_set(stamp_s - before_s)
+        if joints.clock_set_s != before_s:
             self._looks.clock_set()
         return rejected
 

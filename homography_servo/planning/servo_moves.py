@@ -39,12 +39,18 @@ class Moves:
         self._robot, self._watch = robot, watch
         self.target_rad: np.ndarray | None = None
         self._left_rad: np.ndarray | None = None  # where the joints were at the last command
-        self.due_s = self.due_stamp_s = -math.inf  # when it ends, by our clock and by stamps
+        self.due_s = -math.inf  # when it ends
+        self._due_unset_s = -math.inf  # the same by stamps, were no clock set
 
     @property
     def goal_rad(self) -> np.ndarray:
         """Give `target_rad`; ValueError before the first move."""
         return required(self.target_rad, 'move')
+
+    @property
+    def due_stamp_s(self) -> float:
+        """Give when it ends by the stamps of joint states."""
+        return self._due_unset_s + self._watch.joints.clock_set_s
 
     @property
     def length_rad(self) -> float:
@@ -73,10 +79,6 @@ class Moves:
         """Tell whether the joints should have arrived long ago."""
         return now_s > self.due_s + OVERDUE_S
 
-    def clock_set(self, jump_s: float) -> None:
-        """Stay on the side of stamps whose clock was set."""
-        self.due_stamp_s += jump_s
-
     def step_to(self, model: ArmModel, wanted_rad: np.ndarray, settings: ServoSettings) -> Step:
         """Shorten the way to wanted joints to what limits and tracker allow."""
         here_rad = self._watch.joints.known_rad
@@ -102,7 +104,7 @@ class Moves:
         joints = self._watch.joints
         self._left_rad, self.target_rad = joints.latest_rad, command.joints_rad
         self.due_s = now_s + command.time_s
-        self.due_stamp_s = joints.latest_stamp_s + command.time_s
+        self._due_unset_s = joints.latest_stamp_s + command.time_s - joints.clock_set_s
         return command
 
     def _travel_px(self, model: ArmModel, target_rad: np.ndarray) -> float:

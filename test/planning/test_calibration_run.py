@@ -123,3 +123,13 @@ def test_a_pause_is_no_time_out_of_sight(postures):
     run.see = True
     run.run(1.0)
     assert calibration.active and not calibration.state_text.startswith('HOLD')
+
+
+@pytest.mark.parametrize('jump_s', (-3600.0, 3600.0))
+@pytest.mark.parametrize('at_s', (0.3, 0.7))
+def test_clock_jump_changes_nothing(postures, jump_s, at_s):
+    run, calibration = begun(postures)
+    run.run(at_s)
+    run.stamp_offset_s += jump_s
+    run.run(120.0, lambda: not calibration.active)
+    assert calibration.state_text == 'DONE', calibration.state_text
