@@ -84,6 +84,7 @@ class CalibrationRun:
         self._rays: list[np.ndarray] = []
         self._seen: list[tuple[np.ndarray, np.ndarray]] = []  # joints, mean rays
         self._due_s = self._due_unset_s = -math.inf  # the latter by stamps, were no clock set
+        self._looked_s = -math.inf  # when a look counted last, or the arm came to stand
         self._blind_since_s = math.inf
         self._pending: Command | None = None
         self._go_next = True
@@ -134,7 +135,7 @@ class CalibrationRun:
         elif self.state == MOVING:
             self._await_arrival(now_s)
         else:
-            self._look()
+            self._look(now_s)
 
     def _hold(self, reason: str, now_s: float) -> None:
         if self.state != HOLD:
@@ -177,23 +178,29 @@ class CalibrationRun:
         joints = self._watch.joints
         away = np.abs(joints.known_rad - self._postures_rad[self._index]).max()
         if joints.still and away < ARRIVED_RAD and joints.latest_stamp_s >= self._due_stamp_s:
-            self.state = LOOKING
+            self.state, self._looked_s = LOOKING, now_s
         elif now_s > self._due_s + OVERDUE_S:
             self._pending = Command()
             self._finish(Rejected(f'the arm does not reach posture {self._index + 1}, '
                                   f'{math.degrees(away):.1f} deg are left'))
 
-    def _look(self) -> None:
+    def _look(self, now_s: float) -> None:
         joints = self._watch.joints
         stood_s = max(joints.still_since_s, self._due_stamp_s) + self._servo.settle_s
         while self._watch.sight.queue:
             stamp_s, look = self._watch.sight.queue.popleft()
-            if stamp_s >= stood_s:
+            known = joints.at(stamp_s, ahead_s=self._servo.joint_timeout_s) is not None
+            if stamp_s >= stood_s and known:
                 self._rays.append(look.rays)
+                self._looked_s = now_s
         if len(self._rays) >= self._settings.calibration_looks:
             rays = np.median(self._rays, axis=0) if len(self._rays) < 5 else _trimmed(self._rays)
             self._seen.append((joints.known_rad, rays))
             self._go_next = True
+            return
+        vain = self._watch.why_in_vain(self._looked_s, now_s, self._servo)
+        if vain:
+            self._finish(Rejected(f'at posture {self._index + 1}: {vain}'))
 
     def _solve(self) -> None:
         joints_rad = np.array([joints for joints, _ in self._seen])

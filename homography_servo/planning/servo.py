@@ -26,7 +26,6 @@ from homography_servo.planning.pursuit import Decision
 from homography_servo.planning.pursuit import Pursuit
 from homography_servo.planning.servo_looks import Looks
 from homography_servo.planning.servo_moves import Moves
-from homography_servo.planning.servo_moves import OVERDUE_S
 from homography_servo.planning.servo_settings import ServoSettings
 from homography_servo.planning.servo_state import ACTIVE
 from homography_servo.planning.servo_state import DONE
@@ -36,6 +35,7 @@ from homography_servo.planning.servo_state import IDLE
 from homography_servo.planning.servo_state import LOOKING
 from homography_servo.planning.servo_state import MOVING
 from homography_servo.planning.servo_state import Progress
+from homography_servo.planning.servo_watch import UNRESTING
 from homography_servo.planning.servo_watch import Watch
 from homography_servo.result import Rejected
 from homography_servo.result import required
@@ -44,9 +44,6 @@ import numpy as np
 
 RETRY_S = 1.0
 UNMOVED = 'the arm does not move; does the bridge take commands?'
-UNRESTING = 'the arm does not come to rest'
-UNPAIRED = ('no image fits the joint_states of the arm at rest; do their time stamps come from '
-            'one clock?')
 FLOW_REFRESH_S = 0.1  # a stream goes on without looks until vision is lost
 FLOW_LAST_S = 0.12  # the end of the way is left alone
 IDLE_LOOK_S = 0.1  # while nothing moves, a look now and then keeps the model right
@@ -246,13 +243,11 @@ class Servo:
             self._looking_s = now_s
             self._pursuit.count_looks(taken)
             self._carry_out(self._pursuit.decide(self.settings), now_s)
-        elif now_s > max(self._looking_s, self._moves.due_s) + self._patience_s:
-            self._hold_for_a_while(UNPAIRED if self.watch.joints.still else UNRESTING, now_s)
-
-    @property
-    def _patience_s(self) -> float:
-        """Give the time without a look at the standing arm after which something is wrong."""
-        return OVERDUE_S + self.settings.image_timeout_s + self.settings.settle_s
+            return
+        since_s = max(self._looking_s, self._moves.due_s)
+        vain = self.watch.why_in_vain(since_s, now_s, self.settings)
+        if vain:
+            self._hold_for_a_while(vain, now_s)
 
     def _carry_out(self, decision: Decision, now_s: float) -> None:
         if decision.state in (DONE, FAILED):

@@ -13,6 +13,12 @@ from homography_servo.result import Rejected
 import numpy as np
 
 KEPT_LOOKS = 64
+IN_VAIN_S = 1.0
+
+
+UNRESTING = 'the arm does not come to rest'
+UNPAIRED = ('no image fits the joint_states of the arm at rest; do their time stamps come from '
+            'one clock?')
 
 
 class StampedLook(NamedTuple):
@@ -97,6 +103,12 @@ class Watch:
             self._joints_lost, self._before_loss_rad = True, self.joints.latest_rad
         return 'joint_states never came' if math.isinf(age_s) else \
             f'no joint_states for more than {settings.joint_timeout_s:.2f} s'
+
+    def why_in_vain(self, since_s: float, now_s: float, settings: ServoSettings) -> str:
+        """Say why no look has counted since the arm should stand, empty while one still may."""
+        if now_s <= since_s + settings.settle_s + settings.image_timeout_s + IN_VAIN_S:
+            return ''
+        return UNPAIRED if self.joints.still else UNRESTING
 
     def moved_unseen_rad(self) -> float:
         """Tell, once after each loss of joint_states, how far the arm moved meanwhile."""

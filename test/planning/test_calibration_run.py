@@ -133,3 +133,14 @@ def test_clock_jump_changes_nothing(postures, jump_s, at_s):
     run.stamp_offset_s += jump_s
     run.run(120.0, lambda: not calibration.active)
     assert calibration.state_text == 'DONE', calibration.state_text
+
+
+@pytest.mark.parametrize('ahead_s', (-10.0, 10.0))
+def test_images_by_another_clock_than_the_joints_end_it(postures, ahead_s):
+    run, calibration = begun(postures)
+    add_look = run.servo.add_look
+    run.servo.add_look = lambda pose, covariance, stamp_s, now_s: add_look(
+        pose, covariance, stamp_s + ahead_s, now_s)
+    run.run(0.5)
+    run.run(20.0, lambda: not calibration.active)
+    assert 'one clock' in calibration.result.reason
