@@ -33,6 +33,7 @@ ITERATIONS = 3
 LARGE_CHANGE = 5e-3  # m or rad: the next iteration starts from new derivatives
 WIDEN_ABOVE = 4.0  # mean squared surprise: twice the expected deviation
 DOUBT_ABOVE = 25.0
+LARGEST = 1e6  # m, m^2 or rad^2; what is said to be so far or so unsure was not seen
 ARM_LENGTH_M = 0.3  # a rotation and a translation of the object compare by this length
 
 
@@ -87,6 +88,8 @@ def look_from_pose(home_from_object: np.ndarray, covariance: np.ndarray, points_
     """
     if not (np.isfinite(home_from_object).all() and np.isfinite(covariance).all()):
         return Rejected('the measured pose or its covariance is not finite')
+    if max(np.abs(home_from_object).max(), np.abs(covariance).max()) > LARGEST:
+        return Rejected('the measured pose or its covariance is too large to tell anything')
     if lapack.dpotrf(0.5 * (covariance + covariance.T))[1]:
         return Rejected('the covariance of the measured pose is not positive')
     if home_from_object[2, 3] + home_depth_m <= 0.05:

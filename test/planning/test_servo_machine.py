@@ -363,6 +363,17 @@ def test_clock_jump_changes_nothing(jump_s):
     assert not any(text.startswith(HOLD) for _, text in run.states)
 
 
+@pytest.mark.parametrize('depth_m, variance', [(0.0, 1.7e308), (1e200, 1e-6)])
+def test_numbers_that_overflow_are_refused_and_spoil_nothing(depth_m, variance):
+    run, away = world(), np.eye(4)
+    away[2, 3] = depth_m
+    run.run(0.3)
+    answer = run.servo.add_look(away, variance * np.eye(6), run.now_s + 1e6 + 1e-3, run.now_s)
+    assert 'too large' in answer.reason
+    run.finish()
+    assert run.servo.state == DONE
+
+
 @pytest.mark.parametrize('stamp_s, word', [(0.0, 'no time stamp'), (5.0, 'older'), (5.2, 'older')])
 def test_bad_stamps_of_images_are_refused(stamp_s, word):
     servo, pose, covariance = Servo(ROBOT), np.eye(4), 1e-6 * np.eye(6)
