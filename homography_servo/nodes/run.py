@@ -37,6 +37,7 @@ EXIT_OK, EXIT_FAILED, EXIT_CONFIG, EXIT_HARDWARE = 0, 1, 2, 3
 _BAD_PARAMETER = (
     InvalidParameterException, InvalidParameterTypeException, InvalidParameterValueException)
 _LAST_RESORT_S = 2.0
+_HOOKS_S = 0.5  # that the last words of the nodes may take
 PROFILE, RANGE = 'FASTRTPS_DEFAULT_PROFILES_FILE', 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 
 
@@ -88,13 +89,19 @@ class SignalWatch:
         signal.set_wakeup_fd(self._writer.fileno(), warn_on_full_buffer=False)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: None)
-        threading.Thread(target=self._wait, name='signals', daemon=True).start()
+        self._thread = threading.Thread(target=self._wait, name='signals', daemon=True)
+        self._thread.start()
 
     def on_stop(self, hook: Callable[[], object]) -> None:
         """Call a function as soon as a signal comes, or now if one has come."""
         self._hooks.append(hook)
         if self.stopped.is_set():
             hook()
+
+    def await_hooks(self) -> None:
+        """Wait until those who were called for a signal have done what they had to."""
+        if self.stopped.is_set():
+            self._thread.join(_HOOKS_S)
 
     def ignore(self) -> None:
         """Let no further signal end the process while the interpreter winds up."""
@@ -173,6 +180,7 @@ def _run(node_types: Sequence[type], watch: SignalWatch) -> int:
     watch.on_stop(executor.wake)
     while not watch.stopped.is_set() and all(node.exit_code is None for node in nodes):
         executor.spin_once(timeout_sec=1.0)
+    watch.await_hooks()  # or a node would be destroyed while it says its last word
     for node in nodes:
         node.close()
         executor.remove_node(node)
