@@ -65,6 +65,8 @@ from trajectory_msgs.msg import JointTrajectory
 
 TICK_S = 0.02
 PROGRESS_PERIOD_S = 0.03
+UNLED = ('the path needs the joints planned for this arm to lead it, and they have not come on '
+         'path/joint_trajectory')
 FAREWELL_S = 0.2  # that the end may take while the bridge takes the stop
 
 
@@ -162,6 +164,8 @@ class VisualServo(NodeKit, Node):
             return
         lead = lead_from(verdict, self._plan_msg, self._robot.joint_names)
         if lead is None:
+            if not self._servo.active:  # the path before it must not be gone instead
+                self._servo.set_path(np.zeros((0, 4, 4)), False, UNLED)
             return
         self._poses_msg = self._verdict_msg = None
         path = transforms_from_poses(poses)

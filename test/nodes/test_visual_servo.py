@@ -14,6 +14,7 @@ sys.path.insert(0, __file__.rsplit('/nodes/', 1)[0] + '/planning')
 
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402,I100
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
+from diagnostic_msgs.msg import KeyValue  # noqa: E402
 from geometry_msgs.msg import PolygonStamped  # noqa: E402
 from geometry_msgs.msg import PoseArray  # noqa: E402
 from geometry_msgs.msg import PoseWithCovarianceStamped  # noqa: E402
@@ -100,11 +101,12 @@ class Rig:
         self._info.publish(CameraInfo(header=self._header(), width=640, height=480, k=k,
                                       distortion_model='plumb_bob', d=[0.0] * 5))
 
-    def tell_path(self, ok=True, sentence='all good') -> None:
+    def tell_path(self, ok=True, sentence='all good', led=()) -> None:
         header = self._header()
         level = DiagnosticStatus.OK if ok else DiagnosticStatus.ERROR
         self._verdict.publish(DiagnosticArray(header=header, status=[
-            DiagnosticStatus(level=level, name='path', message=sentence)]))
+            DiagnosticStatus(level=level, name='path', message=sentence),
+            *(DiagnosticStatus(values=[KeyValue(key='led', value=value)]) for value in led)]))
         path = straight_path(self.truth, 5, START_RAD, START_RAD + 0.05)
         self._path.publish(pose_array_msg(path if ok else [], header))
 
@@ -173,6 +175,17 @@ def test_loss_holds_within_the_time_and_goes_on(rig, sense):
     assert not [at_s for at_s in rig.commands if at_s > rig.stops_s[0]]
     setattr(rig, sense, True)
     rig.probe.wait(lambda: rig.state == 'DONE', f'not done: {rig.state}')
+
+
+def test_path_whose_leading_joints_are_missing_is_not_replaced_by_the_one_before(rig):
+    rig.focal_px = 800.0
+    rig.tell_path()
+    rig.probe.spin_for(0.5)
+    rig.tell_path(led=['false', 'true', 'true', 'false', 'false'])
+    rig.probe.spin_for(0.3)
+    answer = rig.call('start')
+    assert not answer.success and 'path/joint_trajectory' in answer.message
+    assert not rig.commands
 
 
 def test_pause_stop_and_rubbish(rig):
