@@ -57,7 +57,7 @@ class PlanningDesk:
         self.camera: Camera | None = None
         self._joints: tuple[np.ndarray, float] | None = None
         self._rest_rad: np.ndarray | None = None  # joints when they were last seen to move
-        self._moved_stamp_s = -np.inf
+        self._moved_stamp_s = self._seen_stamp_s = -np.inf
         self.goal: np.ndarray | Rejected = Rejected(_NO_GOAL)
         self._goal_joints_rad: np.ndarray | None = None  # where the arm stood at the goal
         self._goal_look: KnownLook | None = None  # what was seen there
@@ -136,6 +136,7 @@ class PlanningDesk:
             return corners_px
         if self.camera is None:
             return Rejected(_NO_CAMERA)
+        self._seen_stamp_s = stamp_s
         return self._observer.see(corners_px, self.camera, now_s, self._arm_pose(now_s),
                                   covariance_px2)
 
@@ -209,7 +210,12 @@ class PlanningDesk:
     def _view_of(self, wanted: int, now_s: float) -> StillView | Rejected:
         """Average the looks at rest, of which some number is wanted."""
         view = self._observer.still_view(now_s)
-        if isinstance(view, Rejected) or view.looks >= wanted:
+        if isinstance(view, Rejected):
+            return view
+        if self._moved_stamp_s > self._seen_stamp_s:
+            return Rejected('the arm has moved since the object was last seen; hold it still '
+                            'and ask again')
+        if view.looks >= wanted:
             return view
         return Rejected(f'only {view.looks} of {wanted} good looks at the object at rest so '
                         'far; hold it still and ask again')
