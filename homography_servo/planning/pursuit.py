@@ -123,9 +123,10 @@ class Pursuit:
         self.aim_at(next_pose(self.poses, self._filter.pose(joints_rad)))
         return self._lead_from(joints_rad)
 
-    def count_looks(self, taken: int) -> None:
-        """Note looks that the filter has taken."""
+    def count_looks(self, taken: int, passing: bool = False) -> None:
+        """Note looks that the filter has taken, at rest or in passing."""
         self._attempt.looks += taken
+        self._attempt.passing += taken if passing else 0
 
     def report(self, unsure: float = math.nan) -> np.ndarray:
         """Bring the progress up to date; gives the displacement (6,) that is left."""
@@ -157,7 +158,7 @@ class Pursuit:
             return self._reached(settings) if enough else MORE_LOOKS
         if agrees and (over > 1.0 + 2.0 * unsure or (over > 1.0 and sure)):
             return self._move(settings, over)
-        if attempt.looks >= settings.looks_max:
+        if attempt.looks - attempt.passing >= settings.looks_max:
             return self._give_up(settings, unsure, agrees)
         return MORE_LOOKS
 

@@ -289,7 +289,7 @@ class Servo:
 
     def _look_on_the_way(self) -> bool:
         taken = self._looks.moving(self.settings)
-        self._pursuit.count_looks(taken)
+        self._pursuit.count_looks(taken, passing=True)
         if taken:
             self._pursuit.report()
         return taken > 0

@@ -31,6 +31,7 @@ class Attempt:
     index: int
     moves: int = 0
     looks: int = 0
+    passing: int = 0  # looks that were taken on the way
     grown: int = 0
     last_over: float = math.inf
     past: bool = False  # poses before it were left out

@@ -81,6 +81,14 @@ def test_mode_changed_on_the_way_ends_the_stream_at_the_next_poses():
     assert not [c for _, c in run.commands if c.joints_rad is None]
 
 
+def test_looks_on_the_way_are_not_held_against_those_at_rest():
+    settings = ServoSettings(mode='continuous', speed_share=0.2)
+    run = world(seed=3, count=2, noise_px=0.5, settings=settings)
+    run.measure_moving = True
+    run.finish()
+    assert run.servo.state == DONE, run.servo.state_text
+
+
 def test_new_path_past_a_singularity_ends_the_stream():
     """Planned joints have to lead there, from rest to rest."""
     run = started(0.8)
