@@ -28,7 +28,7 @@ from homography_servo.places import load_named
 from homography_servo.result import Rejected
 from homography_servo.robot.arm import Arm
 from homography_servo.robot.driver import ArmDriver
-from homography_servo.robot.driver import DriverSettings
+from homography_servo.robot.driver_settings import DriverSettings
 from homography_servo.robot.limits import joint_order
 from homography_servo.robot.port import LogError
 from homography_servo.robot.port import PortSettings

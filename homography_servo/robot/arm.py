@@ -7,7 +7,7 @@ import time
 from homography_servo.errors import LinkError
 from homography_servo.robot.arm_thread import ArmThread
 from homography_servo.robot.driver import ArmDriver
-from homography_servo.robot.driver import DriverSettings
+from homography_servo.robot.driver_settings import DriverSettings
 from homography_servo.robot.link import Link
 from homography_servo.robot.port import Port
 from homography_servo.robot.port import PortSettings

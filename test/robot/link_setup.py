@@ -6,7 +6,7 @@ import re
 from homography_servo.errors import LinkError
 from homography_servo.robot.device import Device
 from homography_servo.robot.driver import ArmDriver
-from homography_servo.robot.driver import DriverSettings
+from homography_servo.robot.driver_settings import DriverSettings
 from homography_servo.robot.link import Link
 from homography_servo.robot.robot_file import load_robot
 from homography_servo.robot.trajectory import TrajectoryPoint

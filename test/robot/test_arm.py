@@ -8,7 +8,7 @@ import time
 from homography_servo.errors import LinkError
 from homography_servo.robot.arm import Arm
 from homography_servo.robot.arm_thread import ArmThread
-from homography_servo.robot.driver import DriverSettings
+from homography_servo.robot.driver_settings import DriverSettings
 from homography_servo.robot.port import Port
 from homography_servo.robot.port import PortSettings
 from homography_servo.robot.protocol import ESTOP_BYTE

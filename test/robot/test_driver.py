@@ -8,7 +8,7 @@ import time
 from homography_servo.errors import LinkError
 from homography_servo.result import Rejected
 from homography_servo.robot.device import Device
-from homography_servo.robot.driver import DriverSettings
+from homography_servo.robot.driver_settings import DriverSettings
 from homography_servo.robot.protocol import encode_line
 from homography_servo.robot.protocol import Request
 from homography_servo.robot.trajectory import TrajectoryPoint

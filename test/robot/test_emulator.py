@@ -13,7 +13,7 @@ import time
 from homography_servo.robot.arm_thread import ArmThread
 from homography_servo.robot.device import Device
 from homography_servo.robot.driver import ArmDriver
-from homography_servo.robot.driver import DriverSettings
+from homography_servo.robot.driver_settings import DriverSettings
 from homography_servo.robot.emulator import Emulator
 from homography_servo.robot.emulator import PtyPort
 from homography_servo.robot.emulator import RealPort
