@@ -11,13 +11,13 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PolygonStamped
 from geometry_msgs.msg import PoseArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from homography_servo.nodes.calibration_desk import CalibrationDesk
 from homography_servo.nodes.conversions import camera_from_info
 from homography_servo.nodes.conversions import joints_from_state
 from homography_servo.nodes.conversions import polygon_msg
 from homography_servo.nodes.conversions import seconds_from_stamp
 from homography_servo.nodes.conversions import trajectory_msg
 from homography_servo.nodes.conversions import transform_from_pose
-from homography_servo.nodes.conversions import transforms_from_poses
 from homography_servo.nodes.deferred import DeferredTrigger
 from homography_servo.nodes.kit import COMMANDS
 from homography_servo.nodes.kit import DEFAULT
@@ -30,16 +30,11 @@ from homography_servo.nodes.kit import OK
 from homography_servo.nodes.kit import WARN
 from homography_servo.nodes.pace import Pace
 from homography_servo.nodes.parameters import Parameters
+from homography_servo.nodes.path_inbox import PathInbox
 from homography_servo.nodes.progress import progress_msg
 from homography_servo.nodes.run import run_node
 from homography_servo.places import load_named
-from homography_servo.planning.calibration import calibration_poses
-from homography_servo.planning.calibration import CalibrationPoseSettings
-from homography_servo.planning.calibration import CalibrationSettings
-from homography_servo.planning.calibration_run import CalibrationRun
-from homography_servo.planning.calibration_run import CalibrationRunSettings
 from homography_servo.planning.command import Command
-from homography_servo.planning.joint_lead import JointLead
 from homography_servo.planning.servo import Servo
 from homography_servo.planning.servo_settings import ServoSettings
 from homography_servo.planning.servo_state import FAILED
@@ -47,7 +42,6 @@ from homography_servo.planning.servo_state import HOLD
 from homography_servo.planning.servo_state import Progress
 from homography_servo.result import Rejected
 from homography_servo.robot.robot_file import load_robot
-from homography_servo.robot.robot_file import save_robot
 from homography_servo.settings import Settings
 from homography_servo.settings import text
 from homography_servo.tracking.tracker import LOST
@@ -65,8 +59,6 @@ from trajectory_msgs.msg import JointTrajectory
 
 TICK_S = 0.02
 PROGRESS_PERIOD_S = 0.03
-UNLED = ('the path needs the joints planned for this arm to lead it, and they have not come on '
-         'path/joint_trajectory')
 FAREWELL_S = 0.2  # that the end may take while the bridge takes the stop
 
 
@@ -82,8 +74,7 @@ class VisualServo(NodeKit, Node):
     """Move the object along the planned path while looking at it."""
 
     NAME = 'visual_servo'
-    SETTINGS = (VisualServoSettings, ServoSettings, CalibrationRunSettings,
-                CalibrationPoseSettings, CalibrationSettings)
+    SETTINGS = (VisualServoSettings, ServoSettings, *CalibrationDesk.SETTINGS)
     EXAMPLE = 'ros2 run homography_servo visual_servo --ros-args -p mode:=continuous'
 
     def __init__(self, **kwargs) -> None:
@@ -94,13 +85,10 @@ class VisualServo(NodeKit, Node):
                                  self.NAME, 'robot_file')
         self._servo = Servo(self._robot, self._settings[ServoSettings])
         self._camera = None
-        self._poses_msg: PoseArray | None = None
-        self._verdict_msg: DiagnosticArray | None = None
-        self._plan_msg: JointTrajectory | None = None
-        self._calibration: CalibrationRun | None = None
+        self._inbox = PathInbox(self._robot.joint_names)
+        self._desk = CalibrationDesk(self._robot, self._servo, self._settings)
         self._look_header: Header | None = None
         self._pace = Pace('command')
-        self._ended_as = ''  # how a calibration ended, until the next start
         self._shown_state = ''
         self._shown_progress: Progress | None = None
         self._shown_progress_s = 0.0
@@ -146,38 +134,24 @@ class VisualServo(NodeKit, Node):
         self._servo.set_focal(None if camera is None else max(camera.fx, camera.fy))
 
     def _on_poses(self, msg: PoseArray) -> None:
-        self._poses_msg = msg
-        self._match_path()
+        self._inbox.poses = msg
+        self._take_path()
 
     def _on_verdict(self, msg: DiagnosticArray) -> None:
-        self._verdict_msg = msg
-        self._match_path()
+        self._inbox.verdict = msg
+        self._take_path()
 
     def _on_plan(self, msg: JointTrajectory) -> None:
-        self._plan_msg = msg
-        self._match_path()
+        self._inbox.joints = msg
+        self._take_path()
 
-    def _match_path(self) -> None:
-        """Take a path only together with its own verdict: both carry the same stamp."""
-        poses, verdict = self._poses_msg, self._verdict_msg
-        if poses is None or verdict is None or poses.header.stamp != verdict.header.stamp:
-            return
-        lead = lead_from(verdict, self._plan_msg, self._robot.joint_names)
-        if lead is None:
-            if not self._servo.active:  # the path before it must not be gone instead
-                self._servo.set_path(np.zeros((0, 4, 4)), False, UNLED)
-            return
-        self._poses_msg = self._verdict_msg = None
-        path = transforms_from_poses(poses)
-        if isinstance(path, Rejected):
-            self.reject('path', path.reason)
-            self._servo.set_path(np.zeros((0, 4, 4)), False, path.reason)
-        elif not verdict.status:
-            self._servo.set_path(path, False, 'the verdict of the path is empty')
-        else:
-            whole = verdict.status[0]
-            self._servo.set_path(path, whole.level != DiagnosticStatus.ERROR, whole.message,
-                                 lead)
+    def _take_path(self) -> None:
+        path = self._inbox.path()
+        if path is None or (path.waits and self._servo.active):
+            return  # the path before it must not be gone instead
+        if path.broken:
+            self.reject('path', path.sentence)
+        self._servo.set_path(path.poses, path.feasible, path.sentence, path.lead)
         self._tick()
 
     def _on_joints(self, msg: JointState) -> None:
@@ -220,40 +194,15 @@ class VisualServo(NodeKit, Node):
         if self._active:
             return Rejected('on the way; stop first')
         self._take_camera()
-        trouble = self._servo.watch.trouble(time.monotonic(), self._servo.settings)
-        if trouble:
-            return Rejected(trouble)
-        settings = self._settings[CalibrationRunSettings]
-        postures = calibration_poses(
-            self._robot, self._camera, settings.calibration_postures,
-            start_rad=self._servo.watch.joints.latest_rad,
-            settings=self._settings[CalibrationPoseSettings])
-        if isinstance(postures, Rejected):
-            return postures
-        self._calibration = CalibrationRun(
-            self._robot, self._camera, postures, self._servo.watch, self._servo.settings,
-            settings, self._settings[CalibrationSettings])
+        refused = self._desk.begin(self._camera, time.monotonic())
         self._tick()
-        return None
+        return refused
 
-    def _end_calibration(self) -> None:
-        """Answer the caller, and write the file that was asked for."""
-        run, self._calibration = self._calibration, None
-        self._ended_as = run.state_text
-        result = run.result
-        if isinstance(result, Rejected):
-            self._calibrate.answer(False, result.reason)
-            return
-        sentence, file = result.sentence, self._settings[CalibrationRunSettings].calibration_file
-        if file:
-            try:
-                save_robot(file, result.robot, f'Calibrated: {sentence}.')
-            except OSError as error:
-                self._calibrate.answer(False, f'{sentence}; {file} was not written: {error}')
-                return
-            sentence += f'; written to {file}'
-        self.get_logger().info(sentence)
-        self._calibrate.answer(True, sentence)
+    def _answer_calibration(self) -> None:
+        success, sentence = self._desk.result()
+        if success:
+            self.get_logger().info(sentence)
+        self._calibrate.answer(success, sentence)
 
     @property
     def _level(self) -> bytes:
@@ -261,26 +210,23 @@ class VisualServo(NodeKit, Node):
 
     @property
     def _active(self) -> bool:
-        return self._servo.active or self._calibration is not None
+        return self._servo.active or self._desk.open
 
     @property
     def _state_text(self) -> str:
-        if self._calibration is not None:
-            return self._calibration.state_text
-        return self._ended_as or self._servo.state_text
+        return self._desk.state_text or self._servo.state_text
 
     def _on_start(self, _) -> tuple[bool, str]:
-        if self._calibration is not None:
+        if self._desk.open:
             return False, 'a calibration is on the way; stop first'
-        self._ended_as = ''
+        self._desk.clear()
         self._take_camera()
         answer = self._servo.start(time.monotonic())
         self._tick()
         return not isinstance(answer, Rejected), str(answer)
 
     def _on_stop(self, _) -> tuple[bool, str]:
-        if self._calibration is not None:
-            self._calibration.stop('stopped by the operator')
+        self._desk.stop('stopped by the operator')
         answer = self._servo.stop()
         self._tick()
         return True, answer
@@ -294,14 +240,13 @@ class VisualServo(NodeKit, Node):
 
     def _tick(self) -> None:
         now_s = time.monotonic()
-        active = self._servo if self._calibration is None else self._calibration
-        command = active.tick(now_s)
+        command = self._desk.tick(now_s) if self._desk.open else self._servo.tick(now_s)
         if command is not None:
             self._send(command)
             if self._look_header is not None and len(command.points_rad):
                 self._pace.note(now_s, self.age_s(self._look_header))
-        if self._calibration is not None and not self._calibration.active:
-            self._end_calibration()
+        if self._desk.over:
+            self._answer_calibration()
         if self._state_text != self._shown_state:
             self._shown_state = self._state_text
             self._state.publish(String(data=self._shown_state))
@@ -351,8 +296,7 @@ class VisualServo(NodeKit, Node):
 
     def on_fault(self, error: Exception) -> None:
         """Stop when the servo itself failed."""
-        if self._calibration is not None:
-            self._calibration.stop(f'internal error: {error}')
+        self._desk.stop(f'internal error: {error}')
         self._servo.fail(f'internal error: {error}')
         self._send(Command())
 
@@ -373,23 +317,6 @@ class VisualServo(NodeKit, Node):
         """Let the bridge hear the stop before the process ends."""
         if self._silent:
             self._commands.wait_for_all_acked(Duration(seconds=FAREWELL_S))
-
-
-def lead_from(verdict: DiagnosticArray, plan: JointTrajectory | None,
-              joint_names: tuple[str, ...]) -> JointLead | None:
-    """
-    Read where the planned joints lead through a singularity, and those joints.
-
-    None as long as they are needed and have not come.
-    """
-    led = np.array([any(pair.key == 'led' and pair.value == 'true' for pair in status.values)
-                    for status in verdict.status[1:]], dtype=bool)
-    if not led.any():
-        return JointLead()
-    if plan is None or plan.header.stamp != verdict.header.stamp \
-            or len(plan.points) != len(led) or tuple(plan.joint_names) != joint_names:
-        return None
-    return JointLead(np.array([point.positions for point in plan.points]), led)
 
 
 def main(args=None) -> int:

@@ -15,9 +15,9 @@ from homography_servo.nodes.conversions import pose_stamped_msg
 from homography_servo.nodes.conversions import transform_from_pose
 from homography_servo.nodes.conversions import transforms_from_poses
 from homography_servo.nodes.kit import LATCHED
+from homography_servo.nodes.path_inbox import lead_from
 from homography_servo.nodes.path_messages import predicted_trajectory_msg
 from homography_servo.nodes.path_messages import verdict_msg
-from homography_servo.nodes.visual_servo import lead_from
 from homography_servo.places import find_config
 from homography_servo.planning.feasibility import look
 from homography_servo.planning.planner import plan
