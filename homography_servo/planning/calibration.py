@@ -41,6 +41,7 @@ _ROBUST_PX = 1.0
 _OUTLIER_FACTOR = 4.0
 _OUTLIER_SHARE = 0.25
 _LEAST_NOISE_PX = 0.02
+_HARMLESS_PX = 0.3  # a look that is off by less moves nothing by as much as is allowed
 
 
 @dataclass(frozen=True)
@@ -189,7 +190,7 @@ def _rms(residuals_px: np.ndarray) -> float:
 def _fitting_looks(fit: _Fit) -> np.ndarray:
     """Tell which looks fit like the others do; at most a quarter may not."""
     per_look = np.sqrt(np.mean(fit.residuals_px**2, axis=(1, 2)))
-    largest = _OUTLIER_FACTOR * max(float(np.median(per_look)), _LEAST_NOISE_PX)
+    largest = max(_OUTLIER_FACTOR * float(np.median(per_look)), _HARMLESS_PX)
     allowed = int(_OUTLIER_SHARE * len(per_look))
     worst = np.argsort(per_look)[len(per_look) - allowed:]
     used = np.ones(len(per_look), dtype=bool)

@@ -134,6 +134,18 @@ def test_looks_with_wrong_corners_are_left_out():
     assert max(errors(found, true)[:1]) < 1e-3
 
 
+def test_a_look_that_is_a_little_off_among_very_good_ones_is_used():
+    true, joints = truth(5), postures()
+    corners = looks(true, joints, 0.02)
+    corners[7] += 0.15
+    found = calibrate(ROBOT, CAMERA, joints, corners)
+    assert isinstance(found, Calibration), found
+    assert found.left_out == () and max(errors(found, true)[:1]) < 1e-3
+    corners[7] += 2.0
+    refused = calibrate(ROBOT, CAMERA, joints, corners)
+    assert isinstance(refused, Rejected) and '1 of 12 looks' in refused.reason
+
+
 def test_too_many_wrong_looks_are_refused():
     joints = postures(16)
     corners = looks(truth(5), joints, 0.2)
