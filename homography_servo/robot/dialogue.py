@@ -1,7 +1,8 @@
 """
 What is said between driver and device: how it is set up, asked, and understood.
 
-Nothing here has a thread or a lock: all of it happens within a turn of the driver.
+Nothing here has a thread or a lock: whoever calls holds the lock of the driver, all but a
+stop that cannot wait for it.
 """
 
 from __future__ import annotations
@@ -72,6 +73,7 @@ class Dialogue:
         self._next_position_s = self._next_status_s = 0.0
         self._asked_s: dict[int, float] = {}
         self._expected: dict[int, Expected] = {}
+        self._switched_on: Expected | None = None
 
     @property
     def next_due_s(self) -> float:
@@ -93,6 +95,21 @@ class Dialogue:
         """Let the device slow down and stand, or go on."""
         self._link.request('!pause' if on else '!resume')
         self._paused(on)
+
+    def power(self, on: bool) -> None:
+        """Switch the servos; they have power when the device says so, and none at once."""
+        if self._switched_on is not None:
+            self.give_up(self._switched_on)
+            self._switched_on = None
+        if on:
+            self._switched_on = self.request('!power on', self._switched)
+        else:
+            self.forget_motion()
+            self._link.request('!power off')
+            self._interlock.powered = False
+
+    def _switched(self, answer: Answer) -> None:
+        self._interlock.powered, self._switched_on = answer.kind != 'ERR', None
 
     def forget_motion(self) -> None:
         """Give up what is under way: the device does not follow it any more."""
@@ -132,7 +149,7 @@ class Dialogue:
     # --- the device comes and goes ------------------------------------------------------
 
     def _set_up(self, event: Up) -> None:
-        """Tell a device that has just greeted what it must know, then ask how it is."""
+        """Ask a device that has just greeted how it is, before anything else."""
         settings = self._settings
         try:
             wire = ServoWire(self._robot, event.servos, settings.tick_s)
@@ -143,27 +160,37 @@ class Dialogue:
         self.device = f'{event.name}, {event.servos} servos'
         self._asked_s.clear()
         self._expected.clear()
+        self._switched_on = None
         self._mover.attach(wire)
         first = ['!stop'] if self._was_ready else []
-        watch = f'!watch {int(1000 * settings.watchdog_s)}'
-        for line in (*first, watch, '!resume', *wire.setup(), '?pos'):
+        for line in (*first, f'!watch {int(1000 * settings.watchdog_s)}'):
+            self._link.request(line)
+        self.request('?', self._found)
+
+    def _found(self, answer: Answer) -> None:
+        """Tell the device what it must know; what somebody else has begun ends first."""
+        if _state(answer) == 'WORKING':
+            self._stop('the arm was moving when the link came up')
+        wire = self._mover.wire
+        for line in ('!resume', *wire.setup(), '?pos'):
             self._link.request(line)
         self.request(wire.ask_power(), self._heard_power)
         self.request('?', self._first_status)
 
     def _heard_power(self, answer: Answer) -> None:
-        self._interlock.powered = answer.values[0] > 0
+        if answer.kind != 'ERR':
+            self._interlock.powered = answer.values[0] > 0
 
     def _first_status(self, answer: Answer) -> None:
         """Become ready; what stood or moved without us needs a reset by somebody."""
         if self._was_ready:
             self._interlock.latch('the link was lost and came back')
-        elif answer.values[0] == 'STOPPED':
+        elif _state(answer) == 'STOPPED':
             self._interlock.latch('the device had been stopped before')
         self._interlock.ready = self._was_ready = True
         self._interlock.let_go()
         self._paused(False)
-        if answer.values[0] == 'WORKING':
+        if _state(answer) == 'WORKING':
             self._stop('the arm was moving when the link came up')
 
     def _paused(self, on: bool) -> None:
@@ -171,6 +198,7 @@ class Dialogue:
 
     def _lost(self, reason: str) -> None:
         self._interlock.ready = False
+        self.misfit = ''
         if self._was_ready:
             self._interlock.latch(f'the link was lost: {reason}')
         self.forget_motion()
@@ -223,3 +251,8 @@ class Dialogue:
             self.pause(False)  # what was paused is gone
         self.forget_motion()
         self.counts['resets'] += 1
+
+
+def _state(answer: Answer) -> str:
+    """Give the state that a device has told; empty where it has refused to."""
+    return answer.values[0] if answer.kind == 'ST' else ''
