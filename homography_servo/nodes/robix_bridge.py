@@ -147,8 +147,7 @@ class RobixBridge(NodeKit, LifecycleNode):
 
     def on_deactivate(self, state) -> TransitionCallbackReturn:
         """Come to rest and allow no motion."""
-        self._driver.command((), (), time.monotonic())
-        self._driver.active = False
+        self._driver.deactivate(time.monotonic())
         return super().on_deactivate(state)
 
     def on_cleanup(self, state) -> TransitionCallbackReturn:
@@ -225,7 +224,7 @@ class RobixBridge(NodeKit, LifecycleNode):
             try:
                 problem = run(driver, msg, now_s)
             except Exception as error:  # data must never end the thread of the port
-                self._failed(run, error)
+                self.failed(run, error)
                 return
             if problem is not None:
                 self.reject(topic, problem.reason)

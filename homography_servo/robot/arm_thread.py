@@ -33,7 +33,6 @@ class ArmThread:
         self._thread = threading.Thread(target=self._run, name='arm', daemon=True)
         self.longest_turn_s = 0.0
         self._turned_s = 0.0
-        self.error: Exception | None = None
 
     def start(self) -> None:
         """Begin."""
@@ -64,7 +63,6 @@ class ArmThread:
             try:
                 self._driver.turn(start_s)
             except Exception as error:  # a fault in here must stop the arm, not the thread
-                self.error = error
                 self._driver.stop_now(f'internal error: {error}')
                 self._ended.wait(0.1)
             self._turned_s = time.monotonic()

@@ -84,6 +84,12 @@ class ArmDriver:
     def active(self, active: bool) -> None:
         self._interlock.active = active
 
+    def deactivate(self, now_s: float) -> None:
+        """Allow no motion any more, and come to rest."""
+        with self._lock:
+            self.active = False
+            self._brake(now_s)
+
     @property
     def limits(self):
         """Limits that commands have to keep."""
@@ -165,10 +171,6 @@ class ArmDriver:
             self._interlock.hold(reason, now_s, for_s)
             self._brake(now_s)
 
-    def locked_out(self, now_s: float) -> bool:
-        """Tell whether a timed hold is in force."""
-        return self._interlock.locked_out(now_s)
-
     def pause(self, on: bool, now_s: float) -> Rejected | None:
         """Slow down and stand, or go on."""
         with self._lock:
@@ -183,10 +185,7 @@ class ArmDriver:
         with self._lock:
             if not self._interlock.ready:
                 return Rejected('not connected')
-            if not on:
-                self._dialogue.forget_motion()
-            self.link.request('!power on' if on else '!power off')
-            self._interlock.powered = on
+            self._dialogue.power(on)
             return None
 
     def stop_now(self, reason: str) -> bool:
@@ -236,8 +235,10 @@ class ArmDriver:
         with self._lock:
             self._listen(now_s)
             if self._offered is not None:
-                command, self._offered = self._offered, None
-                command(now_s)
+                try:
+                    self._offered(now_s)
+                finally:
+                    self._offered = None  # only now: an arm about to move is not at rest
             if self._interlock.ready:
                 self._supervise(now_s)
                 self._mover.stream(now_s)
@@ -284,7 +285,10 @@ class ArmDriver:
     def _take(self, trajectory: Trajectory | Rejected, now_s: float) -> Rejected | None:
         if isinstance(trajectory, Rejected):
             return trajectory
-        problem = self._mover.begin(trajectory, now_s)
+        # It may have taken a while, and a stop does not wait for the lock.
+        problem = self._refusal(now_s)
+        if problem is None:
+            problem = self._mover.begin(trajectory, now_s)
         if problem is None:
             self._interlock.commanded(now_s, self.settings.command_timeout_s)
             self._counts['commands_slowed'] += bool(trajectory.note)

@@ -14,7 +14,7 @@ STREAM_LENGTH = 3  # commands in a row, each soon after the last, are a stream
 
 
 class Interlock:
-    """Every reason against motion; nothing moves while there is one."""
+    """Every reason to refuse a motion."""
 
     def __init__(self) -> None:
         self.active = False  # motion allowed by whoever manages the driver

@@ -239,6 +239,8 @@ class Mover:
         if seq == self._pace_seq:
             self._pace_seq = 0
             self._pace = self._pace if how == 'DONE' else None  # told again before it is needed
+            if how == 'DONE' and motion is not None and motion.seq:
+                seq = motion.seq  # what was sent before it has run, too: its DONE was lost
         if motion is None or seq != motion.seq:
             return ''
         if how == 'STOPPED':
@@ -256,8 +258,8 @@ class Mover:
 
     def rests(self, finished_seq: int, now_s: float) -> None:
         """Take note that the device is idle; the line that said so may have been lost."""
-        if finished_seq == self._pace_seq:
-            self._pace_seq = 0
+        if self._pace_seq and finished_seq == self._pace_seq:
+            self.over(finished_seq, 'DONE', now_s)
         if self._motion and self._motion.seq == finished_seq and not self._unanswered_seq:
             self.over(finished_seq, 'DONE', now_s)
 

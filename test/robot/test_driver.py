@@ -11,6 +11,7 @@ from homography_servo.robot.device import Device
 from homography_servo.robot.driver_settings import DriverSettings
 from homography_servo.robot.protocol import encode_line
 from homography_servo.robot.protocol import Request
+from homography_servo.robot.trajectory import accept
 from homography_servo.robot.trajectory import TrajectoryPoint
 from homography_servo.robot.wire import LINE_SHARE
 from homography_servo.robot.wire import LineBudget
@@ -73,6 +74,32 @@ def test_a_device_that_moves_when_the_link_comes_up_is_stopped():
     device.feed(Request(1, '!hello').encode() + Request(2, 'move 1 to 1400').encode(), 1000.0)
     rig = Rig(device).run(0.2)
     assert rig.state.startswith('LATCHED: the arm was moving') and stands(rig)
+
+
+@pytest.mark.parametrize('baud', [9600, 115200])
+def test_a_device_that_somebody_has_paused_on_the_way_does_not_go_on(rig, baud):
+    rig.send((5.0, [0.9] * 6))
+    rig.run(1.0).driver.pause(True, rig.now_s)
+    rig.run(0.5)
+    device = rig.device
+    device._watch_s = 0.0  # it waits for us for as long as it takes
+    where = device.machine.positions(rig.now_s)
+    other = Rig(device, DriverSettings(baud=baud), first_seq=30000)
+    other.now_s = rig.now_s
+    other.run(3.0)
+    assert other.state == 'LATCHED: the arm was moving when the link came up'
+    assert device.machine.positions(other.now_s) == where
+    other.reset()
+    assert other.state == 'IDLE' and stands(other) and not device.machine.paused
+
+
+def test_what_does_not_fit_is_forgotten_with_the_device():
+    rig = Rig(Device(servos=4)).run(0.5)
+    assert 'uses servo 6' in rig.driver.problem
+    rig.absent = True
+    rig.break_at.add(rig.operations + 1)
+    rig.run(1.0)
+    assert 'absent' in rig.driver.problem and 'uses servo 6' not in rig.driver.problem
 
 
 def test_too_few_servos_are_a_sentence():
@@ -525,6 +552,19 @@ def test_power_off_ends_a_motion_and_refuses_others(rig):
     assert rig.state == 'IDLE' and rig.go([0.0] * 6) is None
 
 
+def test_an_arm_has_power_when_the_device_says_so(rig):
+    rig.driver.power(False)
+    rig.run(0.1)
+    rig.silent = True
+    rig.driver.power(True)
+    rig.run(0.05)
+    assert 'power is off' in rig.go([0.1] * 6).reason
+    rig.driver.power(False)
+    rig.silent = False
+    rig.run(0.5)
+    assert rig.state == 'HOLD: power is off'  # the last order
+
+
 @pytest.mark.parametrize('restarted', [False, True])
 def test_power_that_is_off_is_known_after_a_lost_link_and_after_a_restart(rig, restarted):
     rig.driver.power(False)
@@ -858,3 +898,71 @@ def test_sequence_numbers_go_round_in_a_session():
     assert 65535 in numbers and 1 in numbers and 0 not in numbers
     assert rig.state == 'IDLE'
     assert all(b == a + 1 or (a, b) == (65535, 1) for a, b in itertools.pairwise(numbers))
+
+
+# --- while a command is judged ------------------------------------------------------------
+
+def judged_while(rig, monkeypatch, happens, *points):
+    """Let something happen in another thread while a command of these points is judged."""
+    def slow(*args, **kwargs):
+        thread = threading.Thread(target=happens)
+        thread.start()
+        thread.join()
+        return accept(*args, **kwargs)
+    monkeypatch.setattr('homography_servo.robot.driver.accept', slow)
+    answers = []
+    rig.driver.offer(lambda now_s: answers.append(rig.send(*points)))
+    rig.turn()
+    rig.run(0.3)
+    return answers
+
+
+@pytest.mark.parametrize('points', [1, 2])
+def test_a_stop_while_a_command_is_judged_is_the_last_word(rig, monkeypatch, points):
+    way = [(1.0, [0.3] * 6), (2.0, [0.5] * 6)][:points]
+    (answer,) = judged_while(rig, monkeypatch, lambda: rig.driver.stop_now('a person'), *way)
+    assert 'latched (a person)' in answer.reason and stands(rig)
+    assert Judge().watch(rig.log).violations == []
+
+
+def test_a_command_that_is_judged_while_motion_is_forbidden_is_refused(rig, monkeypatch):
+    (answer,) = judged_while(rig, monkeypatch,
+                             lambda: setattr(rig.driver, 'active', False), (1.0, [0.3] * 6))
+    assert answer.reason == 'the node is not active' and rig.state == 'IDLE' and stands(rig)
+
+
+def test_an_arm_whose_command_is_judged_is_not_called_at_rest(rig, monkeypatch):
+    resting = []
+    judged_while(rig, monkeypatch, lambda: resting.append(rig.driver.resting), (1.0, [0.3] * 6))
+    assert resting == [False]
+
+
+def test_nothing_that_waits_is_begun_after_a_deactivation(rig):
+    moving(rig)
+    answers = []
+    rig.driver.offer(lambda now_s: answers.append(rig.send((1.0, [0.3] * 6), (9.0, [0.9] * 6))))
+    rig.driver.deactivate(rig.now_s)
+    rig.run(1.0)
+    assert answers[0].reason == 'the node is not active' and rig.state == 'IDLE' and stands(rig)
+
+
+def test_a_braked_move_ends_though_its_last_line_was_lost(rig):
+    assert rig.go([0.6] * 6) is None
+    rig.run(3.0)
+    assert rig.driver.home(rig.now_s) is None
+    rig.run(0.5)
+    start_s = rig.now_s
+    assert rig.driver.command((), (), rig.now_s) is None
+    rig.turn()
+    target = next(text.split()[0] for text, _ in decoded(
+        [(time_s, data) for time_s, data in rig.log if time_s >= start_s]) if '!goto' in text)
+    lost = []
+
+    def spoil(data):
+        lines = data.splitlines(keepends=True)
+        mine = f'{target} DONE'.encode()
+        lost.extend(line for line in lines if line.startswith(mine))
+        return b''.join(line for line in lines if not line.startswith(mine))
+    rig.spoil = spoil
+    rig.run(3.0)
+    assert lost and rig.state == 'IDLE' and rig.driver.resting
