@@ -51,7 +51,7 @@ class DeferredTrigger:
         try:
             refused = self._begin()
         except Exception as error:  # an operator must always get an answer
-            self._node.on_fault(error)
+            self._node.failed(self._begin, error)
             refused = Rejected(f'internal error: {error}')
         if refused is None:
             self._late = response

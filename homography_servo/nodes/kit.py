@@ -144,7 +144,7 @@ class NodeKit:
             try:
                 response.success, response.message = callback(request)
             except Exception as error:  # an operator must always get an answer
-                self._failed(callback, error)
+                self.failed(callback, error)
                 response.success, response.message = False, f'internal error: {error}'
             return response
         return self.create_service(kind, name, answer)
@@ -165,7 +165,7 @@ class NodeKit:
             try:
                 callback(*args)
             except Exception as error:  # an exception here would end spin()
-                self._failed(callback, error)
+                self.failed(callback, error)
         return guard
 
     def age_s(self, header: Any) -> float:
@@ -192,7 +192,8 @@ class NodeKit:
         self.count(f'rejected_{what}')
         self.complain(f'{what} ignored: {reason}', key=what)
 
-    def _failed(self, callback: Callable, error: Exception) -> None:
+    def failed(self, callback: Callable, error: Exception) -> None:
+        """Count and tell an exception, and let the node react."""
         name = getattr(callback, '__name__', 'callback')
         self.count('internal_errors')
         self.complain(f'{name} failed: {type(error).__name__}: {error}', key=name)

@@ -18,7 +18,7 @@ UNLED = ('the path needs the joints planned for this arm to lead it, and they ha
 
 
 class PlannedPath(NamedTuple):
-    """A path as it has come; without poses where it cannot be used."""
+    """A path as it has come; without poses where its messages make none."""
 
     poses: np.ndarray  # (N, 4, 4) home_from_object
     feasible: bool

@@ -206,7 +206,7 @@ class VisualServo(NodeKit, Node):
 
     @property
     def _level(self) -> bytes:
-        return {FAILED: ERROR, HOLD: WARN}.get(self._servo.state, OK)
+        return {FAILED: ERROR, HOLD: WARN}.get(self._state_text.partition(':')[0], OK)
 
     @property
     def _active(self) -> bool:
@@ -220,16 +220,19 @@ class VisualServo(NodeKit, Node):
         if self._desk.open:
             return False, 'a calibration is on the way; stop first'
         self._desk.clear()
+        self._take_path()  # one that has waited for the end of the way
         self._take_camera()
         answer = self._servo.start(time.monotonic())
         self._tick()
         return not isinstance(answer, Rejected), str(answer)
 
     def _on_stop(self, _) -> tuple[bool, str]:
+        was_open = self._desk.open
         self._desk.stop('stopped by the operator')
         answer = self._servo.stop()
         self._tick()
-        return True, answer
+        self._desk.clear()
+        return True, 'calibration stopped' if was_open else answer
 
     def _on_pause(self, request: SetBool.Request) -> tuple[bool, str]:
         answer = self._servo.pause(bool(request.data))
@@ -297,6 +300,9 @@ class VisualServo(NodeKit, Node):
     def on_fault(self, error: Exception) -> None:
         """Stop when the servo itself failed."""
         self._desk.stop(f'internal error: {error}')
+        if self._desk.over:
+            self._answer_calibration()
+        self._desk.clear()
         self._servo.fail(f'internal error: {error}')
         self._send(Command())
 

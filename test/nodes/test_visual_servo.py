@@ -188,6 +188,36 @@ def test_path_whose_leading_joints_are_missing_is_not_replaced_by_the_one_before
     assert not rig.commands
 
 
+def test_path_that_came_on_the_way_without_its_joints_is_not_replaced_either(rig):
+    rig.start()
+    rig.probe.wait(lambda: rig.commands, 'no motion')
+    rig.tell_path(led=['false', 'true', 'true', 'false', 'false'])
+    rig.probe.spin_for(0.3)
+    assert rig.call('stop').success
+    rig.probe.wait(lambda: rig.state == 'IDLE', 'not stopped')
+    sent = len(rig.commands)
+    answer = rig.call('start')
+    assert not answer.success and 'path/joint_trajectory' in answer.message
+    rig.probe.spin_for(0.2)
+    assert len(rig.commands) == sent
+
+
+def test_stop_ends_a_calibration_and_both_callers_are_answered(rig):
+    rig.focal_px = 800.0
+    rig.probe.spin_for(0.5)
+    client = rig.probe.node.create_client(Trigger, 'visual_servo/calibrate')
+    rig.probe.wait(client.service_is_ready, 'no service')
+    calibrated = client.call_async(Trigger.Request())
+    rig.probe.wait(lambda: rig.commands, f'no motion: {rig.state}')
+    assert rig.call('stop').message == 'calibration stopped'
+    rig.probe.wait(calibrated.done, 'no answer')
+    assert not calibrated.result().success
+    assert calibrated.result().message == 'stopped by the operator'
+    rig.probe.wait(lambda: rig.stops_s and rig.state == 'IDLE', f'not stopped: {rig.state}')
+    rig.start()
+    rig.probe.wait(lambda: rig.state == 'DONE', f'not done: {rig.state}')
+
+
 def test_pause_stop_and_rubbish(rig):
     rig.start()
     rig.probe.wait(lambda: rig.commands, 'no motion')
