@@ -129,7 +129,10 @@ class CalibrationRun:
         if self.state == HOLD:  # go to the posture again, the arm may stand anywhere
             self._blind_since_s = math.inf
             self._watch.moved_unseen_rad()
-            self._move(now_s)
+            if self._go_next:
+                self._next(now_s)
+            else:
+                self._move(now_s)
         elif self._go_next:
             self._next(now_s)
         elif self.state == MOVING:

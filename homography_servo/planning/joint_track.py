@@ -17,13 +17,14 @@ import numpy as np
 KEPT_S = 4.0
 STILL_RAD = 2e-4  # half a unit of a hobby servo is 5e-4
 CLOCK_JUMP_S = 1.0
+MOST_KEPT = 8000  # stamps that hardly advance must not fill the memory
 
 
 class JointTrack:
     """A short history of joint states."""
 
     def __init__(self) -> None:
-        self._samples: deque[tuple[float, np.ndarray]] = deque()
+        self._samples: deque[tuple[float, np.ndarray]] = deque(maxlen=MOST_KEPT)
         self.received_s = -math.inf
         self.clock_set_s = 0.0  # by which stamps were set forward, all in all
         self.still_since_s = math.inf  # stamp; infinite while moving or unknown

@@ -118,10 +118,11 @@ class Pursuit:
         """Note that the arm did not carry out the last move: it is no try to get there."""
         self._attempt.moves = max(self._attempt.moves - 1, 0)
 
-    def aim_from(self, joints_rad: np.ndarray) -> Decision:
+    def aim_from(self, joints_rad: np.ndarray, settings: ServoSettings) -> Decision:
         """Go for the pose that is to be met next from joints (n,) on a new path."""
-        self.aim_at(next_pose(self.poses, self._filter.pose(joints_rad)))
-        return self._lead_from(joints_rad)
+        index, far = self._nearest(joints_rad, settings)
+        self.aim_at(index)
+        return far or self._lead_from(joints_rad)
 
     def count_looks(self, taken: int, passing: bool = False) -> None:
         """Note looks that the filter has taken, at rest or in passing."""
@@ -163,15 +164,24 @@ class Pursuit:
         return MORE_LOOKS
 
     def _begin(self, joints_rad: np.ndarray, settings: ServoSettings) -> Decision:
+        index, far = self._nearest(joints_rad, settings)
+        if far is not None:
+            return far
+        self._attempt = Attempt(index, looks=self._attempt.looks)
+        return self._lead_from(joints_rad)
+
+    def _nearest(self, joints_rad: np.ndarray, settings: ServoSettings
+                 ) -> tuple[int, Decision | None]:
+        """Choose the pose to be met next; refuse a way to it that nobody has checked."""
         here = self._filter.pose(joints_rad)
         index = next_pose(self.poses, here)
         away = displacement(here, self.poses[index])
         far_m, far_rad = np.linalg.norm(away[:3]), np.linalg.norm(away[3:])
         if far_m > settings.start_distance_m or far_rad > math.radians(settings.start_angle_deg):
-            return Decision(FAILED, f'the object is {1000 * far_m:.0f} mm and '
-                            f'{math.degrees(far_rad):.0f} deg away from the path; plan again')
-        self._attempt = Attempt(index, looks=self._attempt.looks)
-        return self._lead_from(joints_rad)
+            return index, Decision(
+                FAILED, f'the object is {1000 * far_m:.0f} mm and '
+                f'{math.degrees(far_rad):.0f} deg away from the path; plan again')
+        return index, None
 
     def _lead_from(self, joints_rad: np.ndarray) -> Decision:
         if self._lead.note(self.index, joints_rad):

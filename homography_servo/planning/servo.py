@@ -123,7 +123,7 @@ class Servo:
             return
         standing = self._flow is not None or self.state != MOVING
         aimed = self._pursuit.aim_from(
-            self.watch.joints.known_rad if standing else self._moves.goal_rad)
+            self.watch.joints.known_rad if standing else self._moves.goal_rad, self.settings)
         if self._flow is not None:
             self._flow.follow(self._pursuit.poses, self._pursuit.index)
         if aimed.state == FAILED:

@@ -144,3 +144,18 @@ def test_images_by_another_clock_than_the_joints_end_it(postures, ahead_s):
     run.run(0.5)
     run.run(20.0, lambda: not calibration.active)
     assert 'one clock' in calibration.result.reason
+
+
+def test_loss_before_the_first_posture_does_not_lead_to_the_last(postures):
+    run = world(1)
+    run.run(0.5)
+    run.see = False
+    run.run(0.5)
+    calibration = CalibrationRun(ROBOT, CAMERA, postures, run.servo.watch)
+    run.servo.tick = calibration.tick
+    run.run(0.1)
+    assert calibration.state_text.startswith('HOLD')
+    run.see = True
+    run.run(1.0)
+    targets = [c.joints_rad for _, c in run.commands if c.joints_rad is not None]
+    assert targets and np.allclose(targets, postures[0])

@@ -263,6 +263,22 @@ def test_new_path_between_start_and_first_look_is_not_gone_to_from_afar():
     assert not moves(run)
 
 
+@pytest.mark.parametrize('mode', ['look_then_move', 'continuous'])
+def test_new_path_far_from_a_moving_arm_is_not_gone_to(mode):
+    run = world(0, settings=ServoSettings(mode=mode))
+    run.run(0.5)
+    assert run.servo.start(run.now_s)
+    run.run(1.0)
+    assert run.servo.active
+    far = START_RAD + np.radians([70.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    run.servo.set_path(straight_path(run.truth, 11, far, far + 0.05), True, 'good')
+    assert run.servo.state == 'FAILED' and 'away from the path' in run.servo.state_text
+    run.run(0.5)  # it brakes
+    where = run.joints_at(run.now_s)
+    run.run(1.0)
+    assert np.allclose(run.joints_at(run.now_s), where, atol=1e-6)
+
+
 def test_new_veto_in_mid_motion_stops():
     run = started()
     run.servo.set_path(straight_path(run.truth), False, 'pose 7 leaves the image')

@@ -254,3 +254,15 @@ def test_nothing_in_nothing_out():
     points_m, picture = box_points(FACE_M, 0.04), smoothed(np.zeros((480, 640), np.uint8))
     seen = look_at(picture, views, points_m, PLANE)
     assert len(nearer(views, seen, points_m, PLANE).miss_px) == 0 == len(odds(seen, 4.0))
+
+
+def test_more_lines_are_read_than_a_picture_of_opencv_has_rows():
+    image = np.tile(np.arange(640, dtype=np.uint8), (480, 1))
+    corners = np.array([[100.0, 100.0], [180.0, 100.0], [180.0, 150.0], [100.0, 150.0]])
+    rows = np.linspace(0.1, 0.9, 5)
+    one, many = (look_across(Picture(image, image, 9.0),
+                             rows_across(np.tile(corners, (count, 1, 1)), rows), PLANE,
+                             8.0, -8.0, 17) for count in (1, 2000))
+    for few, each in zip(one[1:], many[1:]):  # the first is the share that all have
+        assert len(each) == 2000 and np.array_equal(np.tile(few, (2000, *[1] * (few.ndim - 1))),
+                                                    each)

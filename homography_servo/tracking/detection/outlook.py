@@ -22,6 +22,7 @@ START = 2.0  # beginning of a transition, over the difference that noise cannot 
 NOISE_ROWS, DIFFERENCE_MEDIAN = 16, 0.954  # median difference of two pixels over the noise
 SMOOTHED, STRONGLY_SMOOTHED = (3, 0.375), (5, 0.273)  # kernel; share of the noise it leaves
 NOISY_GREY = 5.0
+MOST_ROWS = 30_000  # of a picture that OpenCV makes: it must have less than 32,767
 NOISE_SIGMAS, LEAST_GREY = 5.0, 5.0  # differences that are none of the noise's, nor the light's
 BEFORE, AFTER = [3, 0, 1, 2], [1, 2, 3, 0]  # neighbours of the corners
 
@@ -227,9 +228,11 @@ def _read(image: np.ndarray, ends: np.ndarray, count: int) -> tuple[np.ndarray, 
     inside = (u >= 0.0) & (u <= width - 1.0) & (v >= 0.0) & (v <= height - 1.0)
     if not u.size:
         return np.zeros(u.shape, np.float32), inside
-    grey = cv2.remap(image, u.reshape(-1, count), v.reshape(-1, count), cv2.INTER_LINEAR,
-                     borderMode=cv2.BORDER_REPLICATE)
-    return grey.reshape(u.shape).astype(np.float32), inside
+    rows_u, rows_v = u.reshape(-1, count), v.reshape(-1, count)
+    grey = [cv2.remap(image, rows_u[row:row + MOST_ROWS], rows_v[row:row + MOST_ROWS],
+                      cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            for row in range(0, len(rows_u), MOST_ROWS)]
+    return np.concatenate(grey).reshape(u.shape).astype(np.float32), inside
 
 
 @lru_cache(maxsize=8)
