@@ -75,5 +75,5 @@ pictures: build  ## make the pictures of README and docs anew (needs Chromium)
 		cp report/path_figures.png docs/images/path_figures.png && \
 		python3 tools/frames_picture.py && python3 tools/screenshots.py
 
-clean:  ## remove what was built, the environments too
+clean:  ## remove what was built, the environments and report/
 	rm -rf build install log report .venv .venv-noble .coverage .mypy_cache
