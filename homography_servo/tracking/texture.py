@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import cv2
 from homography_servo.tracking.polygon_fit import Prior
+from homography_servo.tracking.rectified import rectified_view
 import numpy as np
 
 SAMPLE_PX = 2.5  # distance of the samples in the key picture
@@ -69,7 +70,7 @@ class FaceTexture:
         across, down = (min(max(int(max(pair) / SAMPLE_PX), LEAST_SAMPLES), MOST_SAMPLES)
                         for pair in (sides[::2], sides[1::2]))
         size = (across, down)
-        view = _view(image, corners_px, size)
+        view = rectified_view(image, corners_px, size, INSET)
         if cv2.meanStdDev(view)[1][0, 0] < LIVELY_GREY:
             self._key = None
             return
@@ -101,7 +102,7 @@ class FaceTexture:
         for _ in range(STEPS):
             if not np.isfinite(corners).all():
                 return None
-            view = _view(image, corners, key.size)
+            view = rectified_view(image, corners, key.size, INSET)
             spread = float(view.std())
             if spread < 0.25 * LIVELY_GREY:
                 return None
@@ -118,16 +119,3 @@ class FaceTexture:
         noise = REDUNDANCY * float(np.mean(miss * miss))
         covariance = noise * np.linalg.inv(normal) + KEY_SIGMA_PX ** 2 * np.eye(8)
         return Prior(corners, np.linalg.inv(covariance))
-
-
-def _view(image: np.ndarray, corners_px: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Look straight at the face: (r, c) float32."""
-    right, bottom = size[0] - 1.0, size[1] - 1.0
-    margin_u, margin_v = (INSET * last / (1.0 - 2.0 * INSET) for last in (right, bottom))
-    frame = np.array([[-margin_u, -margin_v], [right + margin_u, -margin_v],
-                      [right + margin_u, bottom + margin_v], [-margin_u, bottom + margin_v]])
-    image_from_view = cv2.getPerspectiveTransform(frame.astype(np.float32),
-                                                  corners_px.astype(np.float32))
-    view = cv2.warpPerspective(image, image_from_view, size, None,
-                               cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, cv2.BORDER_REPLICATE)
-    return cv2.GaussianBlur(view, (3, 3), 0).astype(np.float32)
