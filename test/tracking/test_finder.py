@@ -1,5 +1,8 @@
 """The face is found without being told where it is."""
 
+import math
+from types import SimpleNamespace
+
 import cv2
 from face_views import BENT
 from face_views import CAMERA
@@ -8,6 +11,7 @@ from face_views import pose
 from homography_servo.result import Rejected
 from homography_servo.simulation.scene import Scene
 from homography_servo.simulation.scene_settings import SceneSettings
+from homography_servo.tracking import finder
 from homography_servo.tracking.detection.edge_search import EdgeSearch
 from homography_servo.tracking.detection.edge_search import QUICK
 from homography_servo.tracking.detection.edge_search import SURE_ODDS
@@ -55,6 +59,23 @@ def test_what_is_found_is_weighed_against_what_is_elsewhere():
     assert found.merit > SURE_ODDS
     assert edges.odds_elsewhere(corners) < found.merit
     assert edges.odds_elsewhere(corners + 50.0) == found.merit
+
+
+@pytest.mark.parametrize('here, elsewhere, taken', [
+    (SURE_ODDS, -math.inf, True), (SURE_ODDS, 3.0 * SURE_ODDS, False),
+    (-SURE_ODDS, -math.inf, False)],
+    ids=['likely', 'another thing is likelier', 'unlikely'])
+def test_what_regions_show_is_weighed_with_the_edges(monkeypatch, here, elsewhere, taken):
+    shown = finder.find_by_regions(
+        Scene(CAMERA, FACE_M, 0.04, SceneSettings()).render(pose(tilt_x=25.0)).image_grey,
+        TARGET, PLANE)
+    doubtful = shown._replace(merit=0.5 * (finder.LEAST_SCORE + finder.CONVINCING))
+    monkeypatch.setattr(finder, 'find_by_regions', lambda *_: doubtful)
+    monkeypatch.setattr(finder, 'EdgeSearch', lambda *_: SimpleNamespace(
+        best=lambda effort: Rejected('nothing'), odds=lambda corners: here,
+        odds_elsewhere=lambda corners: elsewhere))
+    face = find_face(np.zeros((480, 640), np.uint8), TARGET, PLANE)
+    assert isinstance(face, Rejected) != taken
 
 
 def frontal_pose(rng):
