@@ -86,6 +86,8 @@ BOX_M = 0.04
 # Wide turns and tilts, slowly, so that each side of the box appears and vanishes.
 ROUND_TRIP = Motion(speed_px=3.0, tilt_deg=35.0, turn_deg=60.0)
 HIDDEN = {'occluder_start_s': 1.0, 'occluder_duration_s': 20.0 / RATE_HZ, 'noise_grey': 5.0}
+# Long enough to take something else of its proportions for the face.
+GONE = {'noise_grey': 5.0, 'clutter': 1.0, 'vanish_start_s': 2.0, 'vanish_duration_s': 3.0}
 CASES = (
     *(Case(f'plain noise {noise}', SceneSettings(noise_grey=float(noise)))
       for noise in (2, 5, 10)),
@@ -111,6 +113,9 @@ CASES = (
     Case('distorted lens, box', SceneSettings(noise_grey=5.0, shadow=0.5),
          Motion(speed_px=5.0, tilt_deg=30.0), BOX_M, BENT),
     Case('vanish', SceneSettings(noise_grey=5.0, vanish_start_s=2.0, vanish_duration_s=0.6)),
+    Case('vanish in clutter', SceneSettings(**GONE)),
+    Case('vanish in clutter, print', SceneSettings(print_contrast=100.0, **GONE)),
+    Case('vanish in clutter, box', SceneSettings(shadow=0.5, **GONE), height_m=BOX_M),
 )
 
 

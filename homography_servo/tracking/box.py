@@ -84,6 +84,10 @@ class BoxSides:
         self._step = self._due = np.zeros(6)  # from picture to picture, and from that pose
         self._levels = SideLevels()
 
+    def forget(self) -> None:
+        """Begin anew with the pose; how bright the sides are stays known."""
+        self._pose = None
+
     def strips(self, corners: np.ndarray) -> tuple[Strips, Prior] | tuple[None, None]:
         """
         Predict the strips beside a face with these corners.
@@ -116,6 +120,15 @@ class BoxSides:
               pictures: int = 1) -> None:
         """Take in the grey levels that a good fit with weights (s,) has found."""
         self._levels.learn(edges, weight, strips, half, pictures)
+
+    def silhouette(self, corners: np.ndarray) -> np.ndarray:
+        """Give the corners (8, 2) of the box, or (4, 2) of the face where it has no pose."""
+        outline = self.outline(corners)
+        if isinstance(outline, Rejected):
+            return corners
+        pose = outline.pose
+        back, _ = project_with_slopes(self._all_m[4:], pose.rotation, pose.translation)
+        return np.vstack([corners, self._plane.from_rays(back)])
 
     def outline(self, corners: np.ndarray) -> Outline | Rejected:
         """Find the pose of the face and from it the outline of the box."""

@@ -88,11 +88,21 @@ class Follower:
             return None
         return self._plane.to_image(self._motion.corners)
 
+    def silhouette_px(self, corners: np.ndarray) -> np.ndarray:
+        """Give the points (M, 2) in the image between which the object is."""
+        return self._plane.to_image(corners if self._box is None
+                                    else self._box.silhouette(corners))
+
     def forget(self) -> None:
         """Stop following; what the face looks like stays known."""
         self._motion: Motion | None = None
         self._memory: LevelMemory | None = None
         self._shape.forget()
+        self._forget_pose()
+
+    def _forget_pose(self) -> None:
+        if self._box is not None:
+            self._box.forget()
 
     def follow(self, image: np.ndarray, stamp_s: float,
                given_px: np.ndarray | None) -> SnakeFit | Rejected:
@@ -150,6 +160,7 @@ class Follower:
         SnakeFit or Rejected
 
         """
+        self._forget_pose()
         fit = self._fine(image, prior) or self._near(image, prior, WIDE)
         if not fit:
             corners = self._locate(image, prior.corners)
@@ -168,6 +179,7 @@ class Follower:
 
     def settle(self, image: np.ndarray, fit: SnakeFit) -> SnakeFit | Rejected:
         """Learn blur and the levels of the box's sides from a first fit, and fit again."""
+        self._forget_pose()
         settled = self._settled(image, fit)
         if settled:
             return settled

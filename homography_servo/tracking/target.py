@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from typing import Callable
 from typing import NamedTuple
 
 from homography_servo.tracking.polygon_fit import SnakeFit
@@ -22,12 +23,16 @@ class Target(NamedTuple):
     polarity: int  # 1 bright face, -1 dark face, 0 unknown
     blur_px: float
     guessed_lens: bool = False
+    doubt: Callable[[np.ndarray], str] | None = None  # why corners surely are not the face's
 
     @property
     def turns(self) -> tuple[int, ...]:
         """Say by how many places the corners may be rolled for the face to look the same."""
-        width, height = self.face_size_m
-        return (0, 1, 2, 3) if abs(width / height - 1.0) < SQUARE else (0, 2)
+        return turns_of(self.face_size_m)
+
+    def strange(self, corners: np.ndarray) -> str:
+        """Say why corners (4, 2) in the plane surely are not those of the face, if so."""
+        return '' if self.doubt is None else self.doubt(corners)
 
 
 class Found(NamedTuple):
@@ -35,6 +40,12 @@ class Found(NamedTuple):
 
     fit: SnakeFit
     merit: float  # to be compared within one search only
+
+
+def turns_of(face_size_m: tuple[float, float]) -> tuple[int, ...]:
+    """Say by how many places the corners may be rolled for a face to look the same."""
+    width, height = face_size_m
+    return (0, 1, 2, 3) if abs(width / height - 1.0) < SQUARE else (0, 2)
 
 
 def turned(fit: SnakeFit, turns: tuple[int, ...], expected: np.ndarray | None) -> SnakeFit:

@@ -8,20 +8,23 @@ from typing import NamedTuple
 
 from homography_servo.geometry.camera import Camera
 from homography_servo.result import Rejected
-from homography_servo.tracking.finder import find_face
 from homography_servo.tracking.follower import Follower
-from homography_servo.tracking.follower import GIVEN_SHAPE_SIGMA_PX
-from homography_servo.tracking.motion import shape_prior
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import SnakeFit
 from homography_servo.tracking.quality import Quality
+from homography_servo.tracking.recognition import Recognition
+from homography_servo.tracking.search import Search
 from homography_servo.tracking.spline import ClosedSpline
 from homography_servo.tracking.target import Target
+from homography_servo.tracking.target import turns_of
 from homography_servo.tracking.tracker_settings import POLARITIES
 from homography_servo.tracking.tracker_settings import TrackerSettings
 import numpy as np
 
 SEARCHING, TRACKING, COASTING, LOST = 'SEARCHING', 'TRACKING', 'COASTING', 'LOST'
+REMEMBER_EVERY = 12  # pictures: what the face and its background look like changes slowly
+DOUBT_EVERY = 4  # where a side is weak
+CLEAR_SIDE, WEAK_SIDE = 0.9, 0.6  # share of its lines that agree: nothing hides it; much does
 
 
 class Track(NamedTuple):
@@ -113,6 +116,7 @@ class Tracker:
                                   self.box_height_m)
         self._size: tuple[int, ...] | None = None
         self._last_px = None
+        self._recognition = Recognition(turns_of(self.face_size_m))
         self._confirmed = self._missed = 0
         self._good_s = 0.0
         self._was_lost = False
@@ -146,9 +150,17 @@ class Tracker:
         if not self._follower.following:
             return self._search(image, stamp_s, given_px)
         fit = self._follower.follow(image, stamp_s, given_px)
+        if not isinstance(fit, Rejected) and self._left_behind(image, fit):
+            fit = Rejected('the face went on, and left the background where it was looked for')
         if isinstance(fit, Rejected):
             return self._missing(fit, stamp_s)
         return self._seen(image, fit, stamp_s)
+
+    def _left_behind(self, image: np.ndarray, fit: SnakeFit) -> bool:
+        """Tell whether the background is followed in place of the face."""
+        weak = fit.judged.least_side_share < WEAK_SIDE
+        return self._confirmed % (DOUBT_EVERY if weak else REMEMBER_EVERY) == 0 \
+            and self._recognition.behind(image, self._plane.to_image(fit.corners))
 
     def _checked(self, grey: np.ndarray) -> np.ndarray:
         if grey.ndim != 2 or grey.dtype != np.uint8 or not grey.size:
@@ -172,23 +184,22 @@ class Tracker:
 
     def _search(self, image: np.ndarray, stamp_s: float,
                 given_px: np.ndarray | None) -> Track:
+        """Look where the face may be, then everywhere."""
+        goes_on = self._state in (TRACKING, COASTING)  # through another lens
+        is_told = given_px is not None and not self._was_lost
+        search = Search(image, self._follower, self._recognition, self._plane,
+                        given_px if given_px is self._first_px else None)
         fit: SnakeFit | Rejected = Rejected('nobody says where the face is')
-        given, last, first = (None if corners_px is None else self._plane.from_image(corners_px)
-                              for corners_px in (given_px, self._last_px, self._first_px))
-        is_told = given is not None and not self._was_lost
-        for near, told in ((given, is_told), (last, False), (first, True)):
-            if near is not None and not fit:
-                fit = self._follower.capture(image, shape_prior(near, GIVEN_SHAPE_SIGMA_PX),
-                                             told=told)
-        told = bool(fit) and is_told
-        if not fit and self._settings.find_face:
-            found = find_face(image, self._target(), self._plane,
-                              last if given is None else given)
-            fit = found if isinstance(found, Rejected) \
-                else self._follower.settle(image, found.fit)
+        for near_px, told in ((given_px, is_told), (self._last_px, False),
+                              (self._first_px, True)):
+            if near_px is not None and not fit:
+                fit = search.near(near_px, told)
+        sure = bool(fit) and (is_told or goes_on)
+        if not fit and self._settings.find_face and not goes_on:
+            fit = search.anywhere(self._target(), self._last_px if given_px is None else given_px)
         if isinstance(fit, Rejected):
-            return Track(self._state, None, None, None, None, fit.reason)
-        self._confirmed = self._settings.confirming_frames if told else 0
+            return self._missing(Rejected(search.doubts[0]) if search.doubts else fit, stamp_s)
+        self._confirmed = self._settings.confirming_frames - 1 if sure else 0
         return self._seen(image, fit, stamp_s)
 
     def _target(self) -> Target:
@@ -207,6 +218,10 @@ class Tracker:
         self._state = TRACKING
         self._last_px, covariance_px2 = self._plane.to_image_with_covariance(
             fit.corners, fit.covariance)
+        if (self._confirmed - self._settings.confirming_frames) % REMEMBER_EVERY == 0:
+            self._recognition.remember(image, self._last_px,
+                                       self._follower.silhouette_px(fit.corners),
+                                       fit.judged.least_side_share > CLEAR_SIDE)
         return Track(TRACKING, self._last_px, covariance_px2,
                      partial(_contour, self._spline, self._plane, fit.corners), fit.quality, '')
 

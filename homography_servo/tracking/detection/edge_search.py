@@ -93,7 +93,10 @@ class EdgeSearch:
         """Check a candidate, once."""
         key = corners.tobytes()
         if key not in self._checked:
-            self._checked[key] = check_view(self._picture, corners, self._target, self._plane)
+            checked = check_view(self._picture, corners, self._target, self._plane)
+            if not isinstance(checked, Rejected) and self._target.strange(checked.fit.corners):
+                checked = checked._replace(merit=-math.inf)  # but maybe a side of its box
+            self._checked[key] = checked
         return self._checked[key]
 
     def _find_beside(self, corners: np.ndarray) -> Found | Rejected:

@@ -73,6 +73,9 @@ def examine(image: np.ndarray, quad: np.ndarray, target: Target,
         * min(abs(quality.contrast) / FULL_GREY, 1.0) ** 0.5
     if score < LEAST_SCORE:  # looking at the sides of the box takes time
         return Rejected('the edges, the evenness and the proportions are not those of the face')
+    strange = target.strange(fit.corners)
+    if strange:
+        return Rejected(strange)
     score *= _box_evidence(image, fit.corners, turn, target, plane)
     return Found(rolled(fit, turn), float(score))
 

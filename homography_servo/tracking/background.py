@@ -1,0 +1,129 @@
+"""
+Remember what a fixed camera sees where the face is not.
+
+What was in its place already while the face was followed somewhere else is not the face,
+however much it looks like it.
+"""
+
+from __future__ import annotations
+
+import cv2
+from homography_servo.tracking.rectified import rectified_view
+import numpy as np
+
+AROUND = 0.15  # of the object's size, around it: what of it the outline leaves out
+GRID = (24, 24)  # samples across and down
+MARGIN = 0.15  # of its width and height, around a thing: its edges belong to how it looks
+INSIDE = np.s_[5:-5, 5:-5]  # samples well within the thing
+LEAST_KNOWN = 0.2  # share of these that must have been seen before
+SAME_GREY, SAME_SHARE = 8.0, 0.05  # difference that noise makes, at least and of the level
+UNCHANGED = 0.8  # share of the samples that are as they were
+ALIKE = 0.8  # correlation with what was there
+FLAT_GREY = 2.0  # standard deviation of samples that show noise alone
+# Grey levels of a few pixels inside that are surely not the same, whatever light and noise do.
+OTHER_GREY, OTHER_SHARE, OTHER_MOST = 20.0, 0.25, 0.5
+KNOWN = 255
+
+
+def _few(count: int) -> np.ndarray:
+    """Give the shares (count count, 4) of the corners in places spread over what is inside."""
+    share = (np.arange(count) + 1.0) / (count + 1.0)
+    s, t = (part.ravel() for part in np.meshgrid(share, share))
+    return np.column_stack([(1 - s) * (1 - t), s * (1 - t), s * t, (1 - s) * t])
+
+
+FEW = _few(5)
+
+
+class Background:
+    """Keeps, for each pixel, how it looked when the face was last followed elsewhere."""
+
+    def __init__(self) -> None:
+        self._picture: np.ndarray | None = None
+        self._known: np.ndarray | None = None  # pixels that have been seen, as 0 or KNOWN
+        self._complete = False  # all have
+
+    def remember(self, image: np.ndarray, silhouette_px: np.ndarray) -> None:
+        """
+        Take in a picture but for the object.
+
+        Parameters
+        ----------
+        image : (H, W) uint8 array
+            The picture.
+        silhouette_px : (M, 2) array
+            Points between which the object is in it.
+
+        """
+        if self._picture is None or self._known is None or self._picture.shape != image.shape:
+            self._picture, self._known = np.zeros_like(image), np.zeros_like(image)
+            self._complete = False
+        place, free = _around(silhouette_px, image.shape)
+        covered = np.where(free, image[place], self._picture[place])
+        self._picture[:] = image
+        self._picture[place] = covered
+        if not self._complete:
+            covered = np.where(free, KNOWN, self._known[place])
+            self._known[:] = KNOWN
+            self._known[place] = covered
+            self._complete = bool((covered == KNOWN).all())
+
+    def shows(self, image: np.ndarray, corners_px: np.ndarray) -> bool:
+        """
+        Tell whether the same was in this place while the face was elsewhere.
+
+        Parameters
+        ----------
+        image : (H, W) uint8 array
+            The present picture.
+        corners_px : (4, 2) array
+            Of a thing in it.
+
+        Returns
+        -------
+        bool
+            False also where nothing is known of the place.
+
+        """
+        if self._picture is None or self._known is None or self._picture.shape != image.shape:
+            return False
+        if _differ(image, self._picture, self._known, corners_px):
+            return False
+        known, now, then = (rectified_view(picture, corners_px, GRID, -MARGIN)
+                            for picture in (self._known, image, self._picture))
+        seen = known > KNOWN - 1
+        if seen[INSIDE].mean() < LEAST_KNOWN:
+            return False
+        light = (cv2.mean(image)[0] + 1.0) / (cv2.mean(self._picture)[0] + 1.0)
+        then = light * then
+        same = np.abs(now - then) < np.maximum(SAME_GREY, SAME_SHARE * now)
+        if min(same[seen].mean(), same[INSIDE][seen[INSIDE]].mean()) < UNCHANGED:
+            return False
+        now, then = now[seen], then[seen]
+        spread = float(now.std()) * float(then.std())
+        likeness = float(np.mean((now - now.mean()) * (then - then.mean())))
+        return bool(spread > FLAT_GREY ** 2 and likeness > ALIKE * spread)
+
+
+def _differ(now: np.ndarray, then: np.ndarray, known: np.ndarray, corners_px: np.ndarray) -> bool:
+    """Look at a few pixels between the corners first: mostly that is enough to tell."""
+    u, v = np.rint(corners_px.T @ FEW.T).astype(int)
+    at = v.clip(0, now.shape[0] - 1), u.clip(0, now.shape[1] - 1)
+    grey, seen = now[at].astype(float), known[at] > 0
+    other = np.abs(grey - then[at]) > OTHER_GREY + OTHER_SHARE * grey
+    return bool(np.count_nonzero(other & seen) > OTHER_MOST * np.count_nonzero(seen))
+
+
+def _around(points_px: np.ndarray, shape: tuple[int, ...]
+            ) -> tuple[tuple[slice, slice], np.ndarray]:
+    """Give the upright rectangle around points (M, 2), and which pixels are not among them."""
+    hull = cv2.convexHull(points_px.astype(np.float32))[:, 0]
+    middle = hull.mean(axis=0)
+    hull = middle + (1.0 + 2.0 * AROUND) * (hull - middle)
+    first = np.clip(np.floor(hull.min(axis=0)), 0, shape[::-1]).astype(int)
+    last = np.clip(np.ceil(hull.max(axis=0)) + 1, first, shape[::-1]).astype(int)
+    (left, top), (width, height) = first, last - first
+    free = np.ones((height, width), np.uint8)
+    if free.size:
+        cv2.fillConvexPoly(free, np.rint(hull - first).astype(np.int32), 0)
+    return (slice(top, top + height), slice(left, left + width)), free > 0
