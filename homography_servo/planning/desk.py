@@ -11,6 +11,7 @@ from homography_servo.geometry.camera import Camera
 from homography_servo.geometry.pose import PoseEstimate
 from homography_servo.planning.feasibility import goal_fault
 from homography_servo.planning.feasibility import look
+from homography_servo.planning.joint_track import CLOCK_JUMP_S
 from homography_servo.planning.joint_track import STILL_RAD
 from homography_servo.planning.model_learner import KnownLook
 from homography_servo.planning.model_learner import learned
@@ -28,8 +29,10 @@ from homography_servo.robot.robot_file import Robot
 import numpy as np
 
 JOINTS_FRESH_S = 0.25
+CLOCKS_APART_S = 2.0  # more than an image that was received lately can be late
 _CLEARLY_WORSE = 9.0  # in chi-squared: three standard deviations
 _NO_CAMERA = 'no camera_info yet: nothing can be measured or planned without the camera model'
+_OTHER_CAMERA = 'camera_info is not that of the camera the goal was measured with: teach it anew'
 _NO_GOAL = 'no goal: call ~/teach_goal or send goal/corners or goal/pose'
 
 
@@ -55,10 +58,12 @@ class PlanningDesk:
         self._robot = robot
         self._settings = settings
         self.camera: Camera | None = None
+        self._last_camera: Camera | None = None  # that looks and goal were measured with
         self._joints: tuple[np.ndarray, float] | None = None
         self._rest_rad: np.ndarray | None = None  # joints when they were last seen to move
-        self._moved_stamp_s = self._seen_stamp_s = -np.inf
+        self._moved_stamp_s = self._seen_stamp_s = self._joints_stamp_s = -np.inf
         self.goal: np.ndarray | Rejected = Rejected(_NO_GOAL)
+        self._goal_measured = False  # rather than told as a pose
         self._goal_joints_rad: np.ndarray | None = None  # where the arm stood at the goal
         self._goal_look: KnownLook | None = None  # what was seen there
         self._observer = Observer(self.object_points_m, self.home_depth_m,
@@ -89,13 +94,15 @@ class PlanningDesk:
         self._observer.home_depth_m = self.home_depth_m
 
     def set_camera(self, camera: Camera | Rejected) -> Rejected | None:
-        """Take in a camera model; another one than before makes old looks worthless."""
+        """Take in a camera model; another one makes worthless what was measured before."""
         if isinstance(camera, Rejected):
             self.camera = None
             return camera
-        if self.camera is not None and camera != self.camera:
+        if self._last_camera not in (None, camera):
             self._observer.forget()
-        self.camera = camera
+            if self._goal_measured:
+                self._refuse_goal(_OTHER_CAMERA)
+        self.camera = self._last_camera = camera
         return None
 
     def set_joints(self, joints_rad: np.ndarray | Rejected, now_s: float,
@@ -108,6 +115,10 @@ class PlanningDesk:
         """
         if isinstance(joints_rad, Rejected):
             return joints_rad
+        if stamp_s <= self._joints_stamp_s < stamp_s + CLOCK_JUMP_S:
+            late_s = self._joints_stamp_s - stamp_s
+            return Rejected(f'joint state is {late_s:.3f} s older than the one before')
+        self._joints_stamp_s = stamp_s
         # A clock that was set back must not leave the motion in the future.
         self._moved_stamp_s = min(self._moved_stamp_s, stamp_s)
         if self._rest_rad is None:
@@ -162,7 +173,7 @@ class PlanningDesk:
         if isinstance(estimate, Rejected):
             return estimate
         joints_rad = self._fresh_joints(now_s)
-        answer = self._take_goal(estimate.home_from_object, joints_rad)
+        answer = self._take_goal(estimate.home_from_object, joints_rad, measured=True)
         if not isinstance(answer, Rejected) and joints_rad is not None:
             self._goal_look = KnownLook(
                 estimate.home_from_object, estimate.covariance, joints_rad)
@@ -183,7 +194,7 @@ class PlanningDesk:
         likely = [c.home_from_object for c in estimate.candidates
                   if c.chi2 < best.chi2 + _CLEARLY_WORSE]
         reached = [pose for pose in likely if self._reachable(pose)]
-        return self._take_goal((reached or likely or [best.home_from_object])[0])
+        return self._take_goal((reached or likely or [best.home_from_object])[0], measured=True)
 
     def set_goal_pose(self, goal: np.ndarray | Rejected) -> str | Rejected:
         """Make a pose ``home_from_object`` the goal."""
@@ -212,7 +223,11 @@ class PlanningDesk:
         view = self._observer.still_view(now_s)
         if isinstance(view, Rejected):
             return view
-        if self._moved_stamp_s > self._seen_stamp_s:
+        behind_s = self._moved_stamp_s - self._seen_stamp_s
+        if behind_s > CLOCKS_APART_S:
+            return Rejected(f'images are stamped {behind_s:.1f} s before joint_states that came '
+                            'no later; do their time stamps come from one clock?')
+        if behind_s > 0.0:
             return Rejected('the arm has moved since the object was last seen; hold it still '
                             'and ask again')
         if view.looks >= wanted:
@@ -229,8 +244,8 @@ class PlanningDesk:
         return learned(self._robot, looks, self._settings.disagreement_max_m,
                        self._settings.disagreement_max_rad)
 
-    def _take_goal(self, goal: np.ndarray, joints_rad: np.ndarray | None = None
-                   ) -> str | Rejected:
+    def _take_goal(self, goal: np.ndarray, joints_rad: np.ndarray | None = None,
+                   measured: bool = False) -> str | Rejected:
         depth_m = goal[2, 3] + self.home_depth_m
         if depth_m <= 0.0:
             return self._refuse_goal(f'it is behind the camera (depth {depth_m:.3f} m)')
@@ -240,7 +255,7 @@ class PlanningDesk:
             if fault:
                 return self._refuse_goal(fault)
         self.goal, self._goal_joints_rad = np.array(goal, dtype=float), joints_rad
-        self._goal_look = None
+        self._goal_look, self._goal_measured = None, measured
         x, y, z = 1000.0 * self.goal[:3, 3]
         return f'goal set to x {x:.1f}, y {y:.1f}, z {z:.1f} mm in home'
 

@@ -14,8 +14,6 @@ import numpy as np
 
 KEPT_LOOKS = 64
 IN_VAIN_S = 1.0
-
-
 UNRESTING = 'the arm does not come to rest'
 UNPAIRED = ('no image fits the joint_states of the arm at rest; do their time stamps come from '
             'one clock?')

@@ -225,6 +225,51 @@ def test_settings_change_at_run_time_and_a_new_camera_forgets_looks():
     assert 'not seen' in missing(bench)
 
 
+@pytest.mark.parametrize('between', [[], [Rejected('k[0] is 0: not calibrated')]],
+                         ids=['at once', 'after a bad one'])
+def test_what_was_measured_with_another_camera_is_not_used(between):
+    bench = Bench()
+    bench.show(GOAL, GOAL_RAD, looks=20)
+    assert 'goal taught' in bench.desk.teach(bench.now_s)
+    for camera in [*between, replace(CAMERA, fx=700.0)]:
+        bench.desk.set_camera(camera)
+    assert 'not seen' in missing(bench)
+    bench.show(START, START_RAD, looks=20)
+    assert 'camera' in missing(bench) and 'teach it anew' in missing(bench)
+
+
+def test_a_camera_that_is_said_again_changes_nothing():
+    bench = Bench()
+    bench.show(GOAL, GOAL_RAD, looks=20)
+    bench.desk.teach(bench.now_s)
+    for camera in (CAMERA, Rejected('k[0] is 0: not calibrated'), CAMERA):
+        bench.desk.set_camera(camera)
+    assert bench.desk.plan(bench.now_s).ok
+
+
+def test_joints_that_come_late_or_twice_are_no_news():
+    bench = Bench()
+    bench.desk.set_goal_pose(GOAL)
+    assert bench.desk.set_joints(START_RAD, 100.0, stamp_s=50.0) is None
+    for stamp_s in np.arange(50.1, 51.1, 0.1):
+        bench.desk.see(seen(START), 100.0, stamp_s)
+    for stamp_s, late in ((49.9, '0.100'), (50.0, '0.000')):
+        answer = bench.desk.set_joints(START_RAD + 0.1, 100.0, stamp_s)
+        assert isinstance(answer, Rejected) and f'{late} s older' in answer.reason
+    assert bench.desk.plan(100.0).ok
+    assert bench.desk.set_joints(START_RAD, 100.0, stamp_s=20.0) is None  # the clock was set
+
+
+def test_clocks_that_differ_are_called_that():
+    bench = Bench()
+    bench.desk.set_goal_pose(GOAL)
+    bench.desk.set_joints(START_RAD + 0.1, 100.0, stamp_s=150.0)
+    bench.desk.set_joints(START_RAD, 100.0, stamp_s=151.0)
+    for stamp_s in np.arange(50.1, 51.1, 0.1):
+        bench.desk.see(seen(START), 100.0, stamp_s)
+    assert 'one clock?' in bench.desk.plan(100.0).reason
+
+
 def test_pictures_from_before_the_arm_stopped_are_no_looks_at_rest():
     bench = Bench()
     bench.desk.set_goal_pose(GOAL)
