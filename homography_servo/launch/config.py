@@ -265,7 +265,7 @@ def _problems_of_files(config: Config) -> list[ConfigError]:
                 problems.append(loaded)
             elif key == 'robot_file' and loaded is not None:
                 robots[name] = loaded
-    return problems or _disagreements(config, robots)
+    return problems or [*_different_robots(config, list(robots)), *_disagreements(config, robots)]
 
 
 def _loaded(config: Config, name: str, key: str, file: str) -> Any:
@@ -278,6 +278,19 @@ def _loaded(config: Config, name: str, key: str, file: str) -> Any:
         return ConfigError(given.file, given.line, f'{name}.{key}', str(error))
     except ConfigError as error:
         return error
+
+
+def _different_robots(config: Config, names: list[str]) -> list[ConfigError]:
+    """Compare the robot files; what is simulated may well be another arm than is believed."""
+    def given(name: str) -> Given:
+        default = defaults_of_node(name)['robot_file']
+        return config.nodes[name].get('robot_file', Given(default, config.file, 0))
+
+    first, *others = [name for name in names if name != 'camera_sim'] or ['']
+    return [ConfigError(given(name).file, given(name).line, f'{name}.robot_file',
+                        f'is {given(name).value}, but {first} works with {given(first).value}')
+            for name in others
+            if find_config(given(name).value) != find_config(given(first).value)]
 
 
 def _disagreements(config: Config, robots: dict[str, Any]) -> list[ConfigError]:

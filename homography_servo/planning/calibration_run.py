@@ -82,6 +82,7 @@ class CalibrationRun:
         self._model = ArmModel(robot)
         self._index = -1
         self._rays: list[np.ndarray] = []
+        self._still_since_s = math.inf  # stamp from which on they were seen
         self._seen: list[tuple[np.ndarray, np.ndarray]] = []  # joints, mean rays
         self._due_s = self._due_unset_s = -math.inf  # the latter by stamps, were no clock set
         self._looked_s = -math.inf  # when a look counted last, or the arm came to stand
@@ -189,6 +190,8 @@ class CalibrationRun:
 
     def _look(self, now_s: float) -> None:
         joints = self._watch.joints
+        if joints.still_since_s != self._still_since_s:  # it sagged: another posture
+            self._rays, self._still_since_s = [], joints.still_since_s
         stood_s = max(joints.still_since_s, self._due_stamp_s) + self._servo.settle_s
         while self._watch.sight.queue:
             stamp_s, look = self._watch.sight.queue.popleft()

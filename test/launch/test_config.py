@@ -81,6 +81,17 @@ def test_a_tracker_that_believes_in_another_box_is_refused(tmp_path):
     assert errors[0].line == 6 and 'the robot file says' in errors[0].reason
 
 
+@pytest.mark.parametrize('node, refused', [('robix_bridge', True), ('camera_sim', False)])
+def test_nodes_that_work_with_different_arms_are_refused(tmp_path, node, refused):
+    other, file = tmp_path / 'other.yaml', tmp_path / 'c.yaml'
+    other.write_text((CONFIGS / 'robots' / 'robix_rcs6.yaml').read_text())
+    file.write_text(planner('poses: 31')
+                    + f'{node}:\n  ros__parameters:\n    robot_file: {other}\n')
+    _, errors = read_config(file)
+    assert [error.line for error in errors] == ([6] if refused else [])
+    assert not refused or 'path_planner works with robix_rcs6.yaml' in errors[0].reason
+
+
 @pytest.mark.parametrize('name', sorted(path.name for path in CONFIGS.glob('*.yaml')))
 def test_our_own_files_are_right(name):
     config, errors = read_config(CONFIGS / name)

@@ -48,6 +48,19 @@ def test_placement_20_mm_and_5_deg_off_is_found(postures):
     assert np.linalg.norm(error[3:]) < np.radians(0.5)
 
 
+def test_looks_of_before_and_after_the_arm_sagged_are_not_averaged(postures):
+    truth = ArmModel(ROBOT, exp_twist(twist_of_size(np.random.default_rng(3), 0.02, 0.1)))
+    run, calibration = begun(postures, truth)
+    for index in range(len(postures)):
+        run.run(20.0, lambda: len(calibration._seen) == index and len(calibration._rays) > 3)
+        run.drive(run.joints_at(run.now_s) + 0.01)
+    run.run(20.0, lambda: not calibration.active)
+    assert calibration.state_text == 'DONE', calibration.state_text
+    error = pose_difference(calibration.result.home_from_base, truth.corrected.home_from_base)
+    assert np.linalg.norm(error[:3]) < 1e-3
+    assert calibration.result.residual_px < 0.2 and not calibration.result.left_out
+
+
 def test_loss_of_sight_holds_then_gives_up(postures):
     run, calibration = begun(postures, calibration_lost_s=2.0)
     run.run(1.0)

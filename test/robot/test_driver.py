@@ -277,17 +277,19 @@ def test_the_pace_is_told_again_when_the_device_has_thrown_it_away(rig):
 def lose_line(rig, word):
     """Lose the next line with a word on its way to the device; give a list of what was lost."""
     lost, feed = [], rig.device.feed
-
-    def hear(data, now_s):
-        kept = b''
-        for line in data.splitlines(True):
-            if word in line and not lost:
-                lost.append(line)
-            else:
-                kept += line
-        feed(kept, now_s)
-    rig.device.feed = hear
+    rig.device.feed = lambda data, now_s: feed(without_next(word, lost, data), now_s)
     return lost
+
+
+def without_next(word, lost, data):
+    """Take the next line with a word out of data, unless one is lost already."""
+    kept = b''
+    for line in data.splitlines(True):
+        if word in line and not lost:
+            lost.append(line)
+        else:
+            kept += line
+    return kept
 
 
 def test_home_is_slow_even_if_the_line_that_makes_it_slow_is_lost(rig):
@@ -688,16 +690,7 @@ def test_a_lost_done_is_made_up_by_the_status(rig):
 def lose_reply(rig, word):
     """Lose the next reply with a word; give a list of what was lost."""
     lost = []
-
-    def spoil(data):
-        kept = b''
-        for line in data.splitlines(True):
-            if word in line and not lost:
-                lost.append(line)
-            else:
-                kept += line
-        return kept
-    rig.spoil = spoil
+    rig.spoil = lambda data: without_next(word, lost, data)
     return lost
 
 
@@ -956,13 +949,6 @@ def test_a_braked_move_ends_though_its_last_line_was_lost(rig):
     rig.turn()
     target = next(text.split()[0] for text, _ in decoded(
         [(time_s, data) for time_s, data in rig.log if time_s >= start_s]) if '!goto' in text)
-    lost = []
-
-    def spoil(data):
-        lines = data.splitlines(keepends=True)
-        mine = f'{target} DONE'.encode()
-        lost.extend(line for line in lines if line.startswith(mine))
-        return b''.join(line for line in lines if not line.startswith(mine))
-    rig.spoil = spoil
+    lost = lose_reply(rig, f'{target} DONE'.encode())
     rig.run(3.0)
     assert lost and rig.state == 'IDLE' and rig.driver.resting
