@@ -8,7 +8,9 @@ however much it looks like it.
 from __future__ import annotations
 
 import cv2
+from homography_servo.tracking.detection.segments import shrunk
 from homography_servo.tracking.rectified import rectified_view
+from homography_servo.tracking.rectified import spread_inside
 import numpy as np
 
 AROUND = 0.15  # of the object's size, around it: what of it the outline leaves out
@@ -22,17 +24,9 @@ ALIKE = 0.8  # correlation with what was there
 FLAT_GREY = 2.0  # standard deviation of samples that show noise alone
 # Grey levels of a few pixels inside that are surely not the same, whatever light and noise do.
 OTHER_GREY, OTHER_SHARE, OTHER_MOST = 20.0, 0.25, 0.5
+NEAR = np.ones((5, 5), np.uint8)  # half pixels around what is new that belong to it
+FEW = spread_inside(5)
 KNOWN = 255
-
-
-def _few(count: int) -> np.ndarray:
-    """Give the shares (count count, 4) of the corners in places spread over what is inside."""
-    share = (np.arange(count) + 1.0) / (count + 1.0)
-    s, t = (part.ravel() for part in np.meshgrid(share, share))
-    return np.column_stack([(1 - s) * (1 - t), s * (1 - t), s * t, (1 - s) * t])
-
-
-FEW = _few(5)
 
 
 class Background:
@@ -68,6 +62,36 @@ class Background:
             self._known[place] = covered
             self._complete = bool((covered == KNOWN).all())
 
+    def light(self, image: np.ndarray) -> float:
+        """Give how much brighter the whole picture has become; 1 if nothing is known."""
+        if self._picture is None:
+            return 1.0
+        return (cv2.mean(image)[0] + 1.0) / (cv2.mean(self._picture)[0] + 1.0)
+
+    def news(self, image: np.ndarray) -> np.ndarray | None:
+        """
+        Mark what was not there before.
+
+        Parameters
+        ----------
+        image : (H, W) uint8 array
+            The present picture.
+
+        Returns
+        -------
+        (H / 2, W / 2) uint8 array or None
+            255 where something differs or was never seen, with a margin, else 0; None where
+            nothing is known.
+
+        """
+        if self._picture is None or self._known is None or self._picture.shape != image.shape:
+            return None
+        then = cv2.convertScaleAbs(shrunk(self._picture), None, self.light(image))
+        most = cv2.max(cv2.convertScaleAbs(then, None, SAME_SHARE), SAME_GREY)
+        new = cv2.compare(cv2.absdiff(shrunk(image), then), most, cv2.CMP_GT)
+        new |= cv2.compare(shrunk(self._known), KNOWN, cv2.CMP_LT)
+        return cv2.dilate(cv2.medianBlur(new, 3), NEAR)
+
     def shows(self, image: np.ndarray, corners_px: np.ndarray) -> bool:
         """
         Tell whether the same was in this place while the face was elsewhere.
@@ -94,8 +118,7 @@ class Background:
         seen = known > KNOWN - 1
         if seen[INSIDE].mean() < LEAST_KNOWN:
             return False
-        light = (cv2.mean(image)[0] + 1.0) / (cv2.mean(self._picture)[0] + 1.0)
-        then = light * then
+        then = self.light(image) * then
         same = np.abs(now - then) < np.maximum(SAME_GREY, SAME_SHARE * now)
         if min(same[seen].mean(), same[INSIDE][seen[INSIDE]].mean()) < UNCHANGED:
             return False

@@ -11,7 +11,7 @@ PRINT_GREY = 8.0  # standard deviation of a view with print on it
 LIKE = 0.6  # correlation of the print on the face with itself
 EVEN_GREY, EVEN_SHARE = 12.0, 0.08  # by which one colour may vary, at least and of its level
 EVEN = 0.75  # share of the samples that show the colour of a face without print
-BRIGHTER = 2.0  # what light may make of a grey level, and its inverse
+BRIGHTER = 1.5  # what a change of place or tilt may make of a grey level, and its inverse
 DARK_GREY = 10.0  # added to levels before they are compared: near black they say little
 FORGET = '(a reset forgets how it looked)'
 
@@ -31,7 +31,8 @@ class Looks:
         """Take in the face with these corners (4, 2)."""
         self._view = rectified_view(image, corners_px, GRID, INSET)
 
-    def doubt(self, image: np.ndarray, corners_px: np.ndarray, turns: tuple[int, ...]) -> str:
+    def doubt(self, image: np.ndarray, corners_px: np.ndarray, turns: tuple[int, ...],
+              light: float = 1.0) -> str:
         """
         Say why a thing does not look like the face; empty if it does.
 
@@ -43,6 +44,8 @@ class Looks:
             Of the thing.
         turns : tuple of int
             By how many places its corners may be rolled.
+        light : float
+            By which the whole picture has become brighter.
 
         """
         if self._view is None:
@@ -51,7 +54,7 @@ class Looks:
         if self._view.std() > PRINT_GREY:
             return '' if max(self._likeness(view, turn) for turn in turns) > LIKE \
                 else f'what is found does not look like the face did {FORGET}'
-        level, before = float(np.median(view)), float(np.median(self._view))
+        level, before = float(np.median(view)), light * float(np.median(self._view))
         ratio = (level + DARK_GREY) / (before + DARK_GREY)
         if not 1.0 / BRIGHTER < ratio < BRIGHTER:
             return (f'what is found is of grey level {level:.0f}, the face was of {before:.0f} '

@@ -52,7 +52,11 @@ class Recognition:
         if self.behind(image, corners_px):
             return 'what is found was there already while the face was elsewhere ' \
                 '(a reset forgets that)'
-        return self._looks.doubt(image, corners_px, self._turns)
+        return self._looks.doubt(image, corners_px, self._turns, self._background.light(image))
+
+    def news(self, image: np.ndarray) -> np.ndarray | None:
+        """Mark in a small picture (H / 2, W / 2) what is no known background, if that is known."""
+        return self._background.news(image)
 
     def behind(self, image: np.ndarray, corners_px: np.ndarray) -> bool:
         """Tell whether what has these corners (4, 2) is a part of the background."""

@@ -6,6 +6,13 @@ import cv2
 import numpy as np
 
 
+def spread_inside(count: int) -> np.ndarray:
+    """Give the shares (count count, 4) of four corners in places spread between them."""
+    share = (np.arange(count) + 1.0) / (count + 1.0)
+    s, t = (part.ravel() for part in np.meshgrid(share, share))
+    return np.column_stack([(1 - s) * (1 - t), s * (1 - t), s * t, (1 - s) * t])
+
+
 def rectified_view(image: np.ndarray, corners_px: np.ndarray, size: tuple[int, int],
                    inset: float) -> np.ndarray:
     """

@@ -61,7 +61,8 @@ class Search:
         prior = shape_prior(self._plane.from_image(corners_px), GIVEN_SHAPE_SIGMA_PX)
         return self._recognised(self._follower.capture(self._image, prior, told=told))
 
-    def anywhere(self, target: Target, expected_px: np.ndarray | None) -> SnakeFit | Rejected:
+    def anywhere(self, target: Target, expected_px: np.ndarray | None,
+                 only_news: bool) -> SnakeFit | Rejected:
         """
         Look in the whole picture.
 
@@ -71,6 +72,8 @@ class Search:
             The face and where it may be.
         expected_px : (4, 2) array or None
             Corners that say which one comes first.
+        only_news : bool
+            Whether to leave out the background as far as it is known.
 
         Returns
         -------
@@ -78,7 +81,9 @@ class Search:
 
         """
         expected = None if expected_px is None else self._plane.from_image(expected_px)
-        found = find_face(self._image, target._replace(doubt=self._doubt), self._plane, expected)
+        news = self._recognition.news(self._image) if only_news else None
+        found = find_face(self._image, target._replace(news=news, doubt=self._doubt),
+                          self._plane, expected)
         if isinstance(found, Rejected):
             return found
         return self._recognised(self._follower.settle(self._image, found.fit))

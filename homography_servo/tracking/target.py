@@ -23,6 +23,7 @@ class Target(NamedTuple):
     polarity: int  # 1 bright face, -1 dark face, 0 unknown
     blur_px: float
     guessed_lens: bool = False
+    news: np.ndarray | None = None  # (H / 2, W / 2) uint8, 0 where it surely is not
     doubt: Callable[[np.ndarray], str] | None = None  # why corners surely are not the face's
 
     @property

@@ -196,7 +196,9 @@ class Tracker:
                 fit = search.near(near_px, told)
         sure = bool(fit) and (is_told or goes_on)
         if not fit and self._settings.find_face and not goes_on:
-            fit = search.anywhere(self._target(), self._last_px if given_px is None else given_px)
+            # What hardly differs from the background may be missed by what is new alone.
+            fit = search.anywhere(self._target(), self._last_px if given_px is None else given_px,
+                                  self._missed % 2 == 0)
         if isinstance(fit, Rejected):
             return self._missing(Rejected(search.doubts[0]) if search.doubts else fit, stamp_s)
         self._confirmed = self._settings.confirming_frames - 1 if sure else 0

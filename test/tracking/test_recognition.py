@@ -114,7 +114,8 @@ def test_a_face_of_one_colour_is_not_one_with_print_nor_much_darker():
     looks = Looks()
     looks.remember(picture(FIRST), FIRST)
     assert looks.doubt(picture(SECOND, level=150), SECOND, (0, 2)) == ''
-    assert 'grey level 6' in looks.doubt(picture(SECOND, level=60), SECOND, (0, 2))
+    assert 'grey level 1' in looks.doubt(picture(SECOND, level=110), SECOND, (0, 2))
+    assert looks.doubt(picture(SECOND, level=110), SECOND, (0, 2), light=0.6) == ''
     image, corners = printed()
     assert 'one colour' in looks.doubt(image, corners, (0, 2))
     assert looks.best_turn(image, corners, (0, 2)) == 0

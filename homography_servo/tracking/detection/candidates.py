@@ -73,7 +73,7 @@ def find_sides(picture: Picture, target: Target, plane: Plane) -> Sides:
     """List straight edges that may be sides of the face, longest first."""
     if min(picture.grey.shape) < LEAST_IMAGE_PX:
         return join_pieces(NO_PIECES)
-    pieces = find_pieces(shrunk(picture.grey), target.polarity)
+    pieces = find_pieces(shrunk(picture.grey), target.polarity, target.news)
     return join_pieces(straightened(pieces, plane))
 
 

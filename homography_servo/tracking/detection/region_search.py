@@ -17,8 +17,10 @@ from homography_servo.tracking.detection.region_check import examine
 from homography_servo.tracking.detection.region_check import LEAST_SCORE
 from homography_servo.tracking.detection.region_quads import list_quads
 from homography_servo.tracking.detection.region_quads import side_contrast
+from homography_servo.tracking.detection.segments import SMALLER_BY
 from homography_servo.tracking.detection.views import parallelograms
 from homography_servo.tracking.plane import Plane
+from homography_servo.tracking.rectified import spread_inside
 from homography_servo.tracking.target import Found
 from homography_servo.tracking.target import STEEPEST
 from homography_servo.tracking.target import Target
@@ -28,6 +30,8 @@ LOOKED_AT = 16  # candidates fitted at most
 CONVINCING = 0.7  # score that ends the search
 MOST_SKEW, MOST_STRETCH = 0.55, 0.55  # of a candidate: cosine, log of the aspect
 SAME_PX = 3.0
+LEAST_NEWS = 0.3  # share of a quadrilateral that was not there before
+INSIDE = spread_inside(5)
 
 
 def find_by_regions(image: np.ndarray, target: Target, plane: Plane) -> Found | Rejected:
@@ -69,6 +73,8 @@ def candidates(image: np.ndarray, target: Target, plane: Plane) -> np.ndarray:
     longest_px = plane.mean_focal * max(target.face_size_m) / target.farthest_m
     least = STEEPEST * longest_px ** 2 * min(target.face_size_m) / max(target.face_size_m)
     quads = list_quads(image, least)
+    if target.news is not None:
+        quads = quads[_shown_share(target.news, quads) > LEAST_NEWS]
     if not len(quads):
         return quads
     contrast, inside = side_contrast(image, quads, AWAY_PX)
@@ -83,6 +89,14 @@ def candidates(image: np.ndarray, target: Target, plane: Plane) -> np.ndarray:
     merit = shown + 2.0 * even.mean(axis=1) + 0.3 * cosine + 0.1 * np.log(area / least)
     merit[~in_reach | (shown < 0.5) | ~_in_proportion(quads, target, plane)] = -np.inf
     return _distinct(quads[np.argsort(-merit)[:np.isfinite(merit).sum()]])
+
+
+def _shown_share(news: np.ndarray, quads: np.ndarray) -> np.ndarray:
+    """Give the share (N,) of places in quadrilaterals (N, 4, 2) that a small picture marks."""
+    places = np.rint((INSIDE @ quads) / SMALLER_BY).astype(int)
+    height, width = news.shape
+    return (news[places[..., 1].clip(0, height - 1), places[..., 0].clip(0, width - 1)]
+            > 0).mean(axis=1)
 
 
 def _distinct(quads: np.ndarray) -> np.ndarray:

@@ -71,7 +71,7 @@ def straightened(pieces: Pieces, plane: Plane) -> Pieces:
     return Pieces(start, way / np.maximum(length[:, None], 1e-9), length, pieces.level)
 
 
-def find_pieces(smooth: np.ndarray, polarity: int) -> Pieces:
+def find_pieces(smooth: np.ndarray, polarity: int, news: np.ndarray | None = None) -> Pieces:
     """
     Find straight edges.
 
@@ -81,6 +81,8 @@ def find_pieces(smooth: np.ndarray, polarity: int) -> Pieces:
         Small smooth picture.
     polarity : int
         1 when the inside is brighter, -1 when darker, 0 for both, each edge twice.
+    news : (H, W) uint8 array or None
+        Where to look, if not everywhere: pixels that are not 0.
 
     Returns
     -------
@@ -91,6 +93,8 @@ def find_pieces(smooth: np.ndarray, polarity: int) -> Pieces:
     slope_u, slope_v = cv2.spatialGradient(smooth)
     edges = cv2.Canny(slope_u, slope_v, *CANNY_GREY)
     edges[[0, -1]] = edges[:, [0, -1]] = 0
+    if news is not None:
+        edges &= news
     index = cv2.findNonZero(edges)
     if index is None:
         return NO_PIECES
