@@ -47,6 +47,10 @@ def stands(rig, time_s=0.3):
     return rig.device.machine.positions(rig.now_s) == before
 
 
+def first_words(lines):
+    return [line.split()[0] for line in lines if line]
+
+
 # --- coming up ---------------------------------------------------------------------------
 
 def test_it_comes_up_idle_and_has_told_the_device_its_limits(rig):
@@ -58,6 +62,19 @@ def test_it_comes_up_idle_and_has_told_the_device_its_limits(rig):
         assert row['maxspd'] / 0.02 <= joint.velocity_rad_s * joint.units_per_rad
         assert row['accel'] / 0.02 ** 2 <= joint.acceleration_rad_s2 * joint.units_per_rad
     assert rig.heard()[0] == '!hello' and '!watch 500' in rig.heard()
+
+
+def test_a_device_is_set_up_in_the_order_that_the_page_of_the_link_tells(rig):
+    at_start = ['!hello', '!watch', '?', '!resume', 'minpos', 'minpos', 'minpos', 'maxspd',
+                '?pos', '?prop', '?']
+    assert first_words(rig.heard())[:len(at_start)] == at_start
+    rig.break_at.add(rig.operations + 1)
+    lost_s = rig.now_s
+    rig.run(1.0)
+    again = first_words(rig.heard(lost_s))
+    again = again[again.index('!hello'):]
+    assert again[:len(at_start) + 1] == ['!hello', '!stop', *at_start[1:]]
+    assert '!reset' not in again and rig.state.startswith('LATCHED: the link was lost')
 
 
 def test_a_device_that_had_been_stopped_needs_a_reset_first():
