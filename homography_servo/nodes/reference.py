@@ -1,5 +1,5 @@
 """
-Write docs/reference.md: topics, services and parameters of every node, from the code.
+Write docs/reference.md: topics, services, parameters and frames, from the code.
 
 Run ``python -m homography_servo.nodes.reference > docs/reference.md``; a test holds
 the file against the code.
@@ -11,8 +11,15 @@ from pathlib import Path
 import tempfile
 
 import cv2
+from homography_servo.launch.registry import CHAIN
+from homography_servo.launch.registry import CHAIN_PROGRAM
 from homography_servo.launch.registry import node_type
 from homography_servo.launch.registry import NODES
+from homography_servo.nodes.transforms import arm_frames
+from homography_servo.nodes.transforms import camera_frames
+from homography_servo.nodes.transforms import fixed_frames
+from homography_servo.places import find_config
+from homography_servo.robot.robot_file import load_robot
 from homography_servo.settings import defaults_of
 from homography_servo.settings import rules_of
 import numpy as np
@@ -23,12 +30,29 @@ from rclpy.qos import DurabilityPolicy
 from rclpy.qos import ReliabilityPolicy
 
 UNTOUCHED = {'robix_bridge': {'autostart': False}, 'dashboard': {'port': 0}}
-PLUMBING = ('/rosout', '/parameter_events', '/diagnostics')
+PLUMBING = ('/rosout', '/parameter_events', '/diagnostics', '/tf', '/tf_static')
+ROBOT_FILE = 'robix_rcs6.yaml'
 HEAD = """# Reference
 
 Made from the code by `python -m homography_servo.nodes.reference`; do not edit by hand.
 Names are relative to the node's namespace; `~` is the node's name. Every node also publishes
 `/diagnostics` once a second and offers the parameter services of ROS.
+"""
+CHAIN_SECTION = f"""
+## {CHAIN_PROGRAM}
+
+Tracker, planner and servo in one process: topics, services and parameters are those of
+{', '.join(CHAIN)}. A file of parameters serves as it is; on the command
+line a parameter needs the name of its node: `-p {CHAIN[-1]}:speed_share:=0.2`.
+"""
+FRAMES_HEAD = f"""
+## Frames
+
+Sent where tf2_msgs is installed; the joints are those of `{ROBOT_FILE}`. `box` is where the arm
+says the object is, `object` where the camera sees it. A namespace does not change these names.
+
+| topic | parent | child | from |
+|---|---|---|---|
 """
 
 
@@ -104,6 +128,20 @@ def node_section(name: str, context: Context, video: Path) -> str:
         *_parameter_rows(kind.SETTINGS)]) + '\n'
 
 
+def frames_section() -> str:
+    """Describe the frames, which no node publishes where tf2_msgs is missing."""
+    robot = load_robot(find_config(ROBOT_FILE))
+    at_home = {frame.child for frame in camera_frames(robot.home_depth_m)}
+    rows = [('/tf_static', frame.parent, frame.child,
+             'path_planner, robix_bridge' if frame.child in at_home else 'robix_bridge')
+            for frame in fixed_frames(robot)]
+    rows += [('/tf', frame.parent, frame.child, 'robix_bridge')
+             for frame in arm_frames(robot, np.zeros(robot.count))]
+    rows.append(('/tf', 'home', 'object', 'path_planner'))
+    return FRAMES_HEAD + ''.join(f'| `{topic}` | `{parent}` | `{child}` | {source} |\n'
+                                 for topic, parent, child, source in rows)
+
+
 def reference_text() -> str:
     """Give the whole page."""
     context = Context()
@@ -111,9 +149,10 @@ def reference_text() -> str:
     with tempfile.TemporaryDirectory() as folder:
         video = _short_video(Path(folder))
         try:
-            return HEAD + ''.join(node_section(name, context, video) for name in NODES)
+            nodes = ''.join(node_section(name, context, video) for name in NODES)
         finally:
             context.try_shutdown()
+    return HEAD + nodes + CHAIN_SECTION + frames_section()
 
 
 def _short_video(folder: Path) -> Path:

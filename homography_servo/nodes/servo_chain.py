@@ -13,10 +13,11 @@ HELP = f"""{__doc__}
 
 The nodes {', '.join(CHAIN)} with all their topics, services and
 parameters, as if each ran for itself; but when one ends, all end.
+The --help of each lists its parameters. Give them with the name of their node:
+--ros-args -p {CHAIN[-1]}:speed_share:=0.2, or --params-file FILE.
 
 example:
-  ros2 run homography_servo servo_chain --ros-args --params-file chain.yaml
-"""
+  ros2 run homography_servo servo_chain --ros-args --params-file chain.yaml"""
 
 
 def main(args: Sequence[str] | None = None) -> int:
