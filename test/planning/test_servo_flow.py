@@ -59,7 +59,7 @@ def test_timing_keeps_speed_and_acceleration_and_ends_at_rest(share):
     assert rise.max() <= 0.7 * largest
 
 
-def test_arm_that_does_not_obey_holds_and_goes_on_when_it_does():
+def test_arm_that_does_not_obey_on_the_way_holds_and_goes_on_when_it_does():
     run = started(0.8)
     run.obey = False
     run.run(3.0)
