@@ -25,7 +25,7 @@ FLAT_GREY = 2.0  # standard deviation of samples that show noise alone
 # Grey levels of a few pixels inside that are surely not the same, whatever light and noise do.
 OTHER_GREY, OTHER_SHARE, OTHER_MOST = 20.0, 0.25, 0.5
 NEAR = np.ones((5, 5), np.uint8)  # half pixels around what is new that belong to it
-FEW = spread_inside(5)
+FEW, FEW_PIXELS = spread_inside(5), np.s_[4::8, 4::8]
 KNOWN = 255
 
 
@@ -63,10 +63,14 @@ class Background:
             self._complete = bool((covered == KNOWN).all())
 
     def light(self, image: np.ndarray) -> float:
-        """Give how much brighter the whole picture has become; 1 if nothing is known."""
-        if self._picture is None:
+        """Give how much brighter it has become; 1 if nothing is known."""
+        if self._picture is None or self._known is None or self._picture.shape != image.shape:
             return 1.0
-        return (cv2.mean(image)[0] + 1.0) / (cv2.mean(self._picture)[0] + 1.0)
+        seen = self._known[FEW_PIXELS] > 0
+        if not seen.any():
+            return 1.0
+        now, then = (picture[FEW_PIXELS][seen] + 1.0 for picture in (image, self._picture))
+        return float(np.median(now / then))  # most of them show what they did
 
     def news(self, image: np.ndarray) -> np.ndarray | None:
         """

@@ -52,15 +52,16 @@ class Looks:
             return ''
         view = rectified_view(image, corners_px, GRID, INSET)
         if self._view.std() > PRINT_GREY:
-            return '' if max(self._likeness(view, turn) for turn in turns) > LIKE \
-                else f'what is found does not look like the face did {FORGET}'
+            if max(self._likeness(view, turn) for turn in turns) > LIKE:
+                return ''
+            if not _even(self._view):  # else a finger or a shadow may have been on it
+                return f'what is found does not look like the face did {FORGET}'
         level, before = float(np.median(view)), light * float(np.median(self._view))
         ratio = (level + DARK_GREY) / (before + DARK_GREY)
         if not 1.0 / BRIGHTER < ratio < BRIGHTER:
             return (f'what is found is of grey level {level:.0f}, the face was of {before:.0f} '
                     + FORGET)
-        same = np.abs(view - level) < max(EVEN_GREY, EVEN_SHARE * level)
-        return '' if same.mean() > EVEN \
+        return '' if _even(view) \
             else f'what is found is not of one colour as the face was {FORGET}'
 
     def best_turn(self, image: np.ndarray, corners_px: np.ndarray,
@@ -68,12 +69,13 @@ class Looks:
         """
         Say by how many places corners (4, 2) must be rolled for the print to be upright.
 
-        The first of the turns where there is no print.
+        The first of the turns where no print is known again.
         """
         if self._view is None or self._view.std() <= PRINT_GREY:
             return turns[0]
         view = rectified_view(image, corners_px, GRID, INSET)
-        return max(turns, key=lambda turn: self._likeness(view, turn))
+        best = max(turns, key=lambda turn: self._likeness(view, turn))
+        return best if self._likeness(view, best) > LIKE else turns[0]
 
     def _likeness(self, view: np.ndarray, turn: int) -> float:
         """Correlate a view whose corners are rolled with the face."""
@@ -83,3 +85,9 @@ class Looks:
         if spread < 1e-6:
             return 0.0
         return float(np.mean((view - view.mean()) * (self._view - self._view.mean()))) / spread
+
+
+def _even(view: np.ndarray) -> bool:
+    """Tell whether a view shows one colour, but for a part of it."""
+    level = float(np.median(view))
+    return bool((np.abs(view - level) < max(EVEN_GREY, EVEN_SHARE * level)).mean() > EVEN)

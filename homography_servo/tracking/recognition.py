@@ -25,6 +25,7 @@ class Recognition:
     def __init__(self, turns: tuple[int, ...]) -> None:
         self._turns = turns
         self._looks, self._background = Looks(), Background()
+        self._light_since = 1.0  # from when the looks were taken in to the background's picture
 
     def remember(self, image: np.ndarray, corners_px: np.ndarray, silhouette_px: np.ndarray,
                  clear: bool) -> None:
@@ -43,16 +44,19 @@ class Recognition:
             Whether all of its sides are in view; what hides one is not its looks.
 
         """
+        self._light_since *= self._background.light(image)
         self._background.remember(image, silhouette_px)
         if clear or not self._looks.known:
             self._looks.remember(image, corners_px)
+            self._light_since = 1.0
 
     def doubt(self, image: np.ndarray, corners_px: np.ndarray) -> str:
         """Say why what has these corners (4, 2) is not the face; empty if it may be."""
         if self.behind(image, corners_px):
             return 'what is found was there already while the face was elsewhere ' \
                 '(a reset forgets that)'
-        return self._looks.doubt(image, corners_px, self._turns, self._background.light(image))
+        return self._looks.doubt(image, corners_px, self._turns,
+                                 self._light_since * self._background.light(image))
 
     def news(self, image: np.ndarray) -> np.ndarray | None:
         """Mark in a small picture (H / 2, W / 2) what is no known background, if that is known."""

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from homography_servo.geometry.camera import Camera
 from homography_servo.result import Rejected
+from homography_servo.result import required
 from homography_servo.tracking.follower import Follower
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import SnakeFit
@@ -23,8 +24,9 @@ import numpy as np
 
 SEARCHING, TRACKING, COASTING, LOST = 'SEARCHING', 'TRACKING', 'COASTING', 'LOST'
 REMEMBER_EVERY = 12  # pictures: what the face and its background look like changes slowly
-DOUBT_EVERY = 4  # where a side is weak
-CLEAR_SIDE, WEAK_SIDE = 0.9, 0.6  # share of its lines that agree: nothing hides it; much does
+DOUBT_EVERY = 2  # pictures: no more than one shows the background in place of the face
+CLEAR_SIDE = 0.9  # share of its lines that agree: nothing hides it
+FARTHEST = 10.0  # times the size of the picture: what is said to be farther out is nonsense
 
 
 class Track(NamedTuple):
@@ -158,8 +160,7 @@ class Tracker:
 
     def _left_behind(self, image: np.ndarray, fit: SnakeFit) -> bool:
         """Tell whether the background is followed in place of the face."""
-        weak = fit.judged.least_side_share < WEAK_SIDE
-        return self._confirmed % (DOUBT_EVERY if weak else REMEMBER_EVERY) == 0 \
+        return self._confirmed % DOUBT_EVERY == 0 \
             and self._recognition.behind(image, self._plane.to_image(fit.corners))
 
     def _checked(self, grey: np.ndarray) -> np.ndarray:
@@ -178,7 +179,7 @@ class Tracker:
             predicted_px = np.asarray(predicted_px, float)
             if predicted_px.shape != (4, 2):
                 raise ValueError(f'expected (4, 2) corners, got {predicted_px.shape}')
-            if np.isfinite(predicted_px).all():
+            if np.abs(predicted_px).max() < FARTHEST * max(required(self._size, 'picture')):
                 return predicted_px
         return None if self._was_lost else self._first_px
 

@@ -11,6 +11,7 @@ from homography_servo.simulation.scene import Scene
 from homography_servo.simulation.scene_settings import SceneSettings
 from homography_servo.tracking.background import Background
 from homography_servo.tracking.looks import Looks
+from homography_servo.tracking.recognition import Recognition
 from homography_servo.tracking.tracker import COASTING
 from homography_servo.tracking.tracker import LOST
 from homography_servo.tracking.tracker import SEARCHING
@@ -73,6 +74,16 @@ def test_what_the_face_covered_is_known_once_it_has_gone_on():
     assert background.shows(thing, FIRST)
 
 
+@pytest.mark.parametrize('light', [0.6, 1.0, 1.5])
+def test_light_is_told_from_what_is_bright(light):
+    """The face itself, and a bright thing that comes in, make no light."""
+    background = Background()
+    background.remember(picture(FIRST, level=250, background=40), FIRST)
+    much = np.array([[50.0, 50.0], [350.0, 50.0], [350.0, 400.0], [50.0, 400.0]])
+    now = picture(much, level=250, background=40, light=light, seed=1)
+    assert background.light(now) == pytest.approx(light, rel=0.1)
+
+
 def test_a_place_at_the_edge_of_the_picture_or_beyond_is_no_trouble():
     background = Background()
     for shift in ((-150.0, -130.0), (-2000.0, 0.0), (500.0, 350.0)):
@@ -119,6 +130,28 @@ def test_a_face_of_one_colour_is_not_one_with_print_nor_much_darker():
     image, corners = printed()
     assert 'one colour' in looks.doubt(image, corners, (0, 2))
     assert looks.best_turn(image, corners, (0, 2)) == 0
+
+
+@pytest.mark.parametrize('spot', [(40.0, 20.0), (8.0, 50.0)])
+def test_what_lay_on_a_face_of_one_colour_is_not_its_print(spot):
+    corner = FIRST[0] + (30.0, 5.0)
+    thing = np.array([corner, corner + (spot[0], 0.0), corner + spot, corner + (0.0, spot[1])])
+    covered = np.minimum(picture(FIRST, seed=1), picture(thing, background=255, level=30))
+    looks = Looks()
+    looks.remember(covered, FIRST)
+    assert looks.doubt(picture(SECOND), SECOND, (0, 2)) == ''
+    assert looks.doubt(covered, FIRST, (0, 2)) == ''
+    assert looks.best_turn(picture(SECOND), SECOND, (2, 0)) == 2
+    assert 'grey level' in looks.doubt(picture(SECOND, level=100), SECOND, (0, 2))
+
+
+def test_looks_that_are_older_than_the_background_are_seen_in_its_light():
+    recognition = Recognition((0, 2))
+    recognition.remember(picture(FIRST), FIRST, FIRST, clear=True)
+    for light in np.linspace(1.0, 0.4, 20):
+        recognition.remember(picture(FIRST, light=light), FIRST, FIRST, clear=False)
+    assert recognition.doubt(picture(SECOND, light=0.4), SECOND) == ''
+    assert 'grey level' in recognition.doubt(picture(SECOND, level=90, light=0.4), SECOND)
 
 
 # The tracker with both.
@@ -211,16 +244,28 @@ def test_a_person_who_says_where_the_face_is_means_nothing_else():
     assert Stage(Tracker(FACE_M, told(FIRST))).show(picture(FIRST + 20.0), 5).state == TRACKING
 
 
-def test_a_twin_of_the_face_that_stays_behind_is_noticed_while_tracking():
+@pytest.mark.parametrize('rest', range(4))
+def test_a_twin_of_the_face_that_stays_behind_is_noticed_while_tracking(rest):
     """The face comes to rest before a thing like it, and is gone from one picture to the next."""
     stage = Stage(Tracker(FACE_M, told(FIRST), None))
-    for shift in np.linspace(0.0, 300.0, 61):
+    for shift in (*np.linspace(0.0, 300.0, 61), *[300.0] * rest):
         twin, face = picture(SECOND), picture(FIRST + (shift, 0.0), level=230)
         track = stage.show(np.maximum(twin, face))
         assert track.state == TRACKING
-    states = [stage.show(picture(SECOND)).state for _ in range(12)]
-    assert COASTING in states
-    assert stage.show(picture(SECOND), 6).state == LOST
+    states = [stage.show(picture(SECOND)).state for _ in range(8)]
+    assert states.count(TRACKING) <= 1
+    assert states[-1] == LOST
+
+
+@pytest.mark.parametrize('light', [0.5, 1.0, 2.0])
+def test_a_large_face_before_something_dark_is_known_again(light):
+    """The pixels that it covers and uncovers say nothing of the light."""
+    large = np.array([[150.0, 120.0], [450.0, 120.0], [450.0, 300.0], [150.0, 300.0]])
+    stage = Stage(Tracker(FACE_M, told(large), None))
+    assert stage.show(picture(large, background=30, level=120), 30).state == TRACKING
+    assert stage.show(picture(background=30), 6).state == LOST
+    back = picture(large + 20.0, background=30, level=120, light=light, seed=1)
+    assert stage.show(back, 8).state == TRACKING
 
 
 def test_a_camera_that_changes_does_not_hide_that_the_face_has_gone():
