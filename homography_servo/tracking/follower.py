@@ -225,7 +225,7 @@ class Follower:
         """Learn from a fit that is trusted."""
         if self._motion is None:
             self._motion = Motion()
-        self._motion.measured(fit.corners, stamp_s)
+        self._motion.measured(fit.corners, fit.covariance, stamp_s)
         self._accepted += 1
         self._unlearnt += 1
         if fit.edges.second is not None or self._accepted % SELDOM == 1:

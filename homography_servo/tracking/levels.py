@@ -21,7 +21,7 @@ FAR_SIGMAS = 3.0  # far pixels that differ by more than this have another grey l
 FLAT_GREY = 1.0  # and uneven light makes them differ by this much
 MOST_POOLED = 300.0  # pixels that the other segments may stand for
 MEDIAN_TO_SIGMA = 1.48
-LEAST_SQUARE = 1e-8  # of the shares about their mean
+LEAST_SQUARE = 1e-8  # of shares about their mean, and of slopes
 SPREAD_GAIN = 0.1  # of a picture that is looked at, in how far levels are alike
 LOOK_EVERY = 4  # pictures: how far levels are alike changes slowly
 
@@ -196,7 +196,7 @@ def _slope_left(sums: Sums, fit: TwoLevels) -> np.ndarray:
     square = sums.by_slope[1]
     left = square - sums.plain[1] * fit.mean[1]
     left -= fit.centred[1] * fit.slant
-    return np.maximum(left, 0.1 * square)
+    return np.maximum(left, 0.1 * square + LEAST_SQUARE)  # where all pixels lie off the edge
 
 
 def _with_known(sums: Sums, known: Known, adds: np.ndarray) -> Sums:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 import math
+from typing import NamedTuple
 
 from homography_servo.result import required
 from homography_servo.tracking.polygon_fit import Prior
@@ -16,6 +17,54 @@ FORGET = 0.1
 USUAL_CHANGES = 3.0  # a change is expected to be at most so many times the earlier ones
 LEAST_REPEATED = -0.5  # of a change that is noise, this much is undone
 SURPRISES = 2.0  # standard deviation of the prior over the usual surprise
+DOUBTFUL = 0.5  # variance of a corner, over that of the prior, from which on it is remembered
+
+
+class Spread(NamedTuple):
+    """Covariance of corners [px] and their velocities [px/s]; n numbers of each."""
+
+    corners: np.ndarray  # (n, n)
+    cross: np.ndarray  # (n, n) of corners (rows) with velocities
+    velocity: np.ndarray  # (n, n)
+
+    def ahead(self, period_s: float, change: np.ndarray) -> Spread:
+        """
+        Predict by constant velocity.
+
+        Parameters
+        ----------
+        period_s : float
+            How far ahead.
+        change : (n, n) array
+            Covariance [px^2] of what a change of velocity shifts the corners by until then.
+
+        Returns
+        -------
+        Spread
+
+        """
+        cross = self.cross + period_s * self.velocity
+        return Spread(self.corners + period_s * (cross + self.cross.T) + change,
+                      cross + change / period_s, self.velocity + change / period_s ** 2)
+
+    def told(self, corners: np.ndarray) -> tuple[Spread, np.ndarray]:
+        """
+        Let a picture that tells of the corners tell of their velocities as well.
+
+        Parameters
+        ----------
+        corners : (n, n) array
+            Covariance of the corners after the picture; this one is that before.
+
+        Returns
+        -------
+        Spread, (n, n) array
+            After the picture, and the gain [1/s] by which velocities follow the corners.
+
+        """
+        gain = np.linalg.solve(self.corners, self.cross).T
+        return Spread(corners, corners @ gain.T,
+                      self.velocity - gain @ (self.corners - corners) @ gain.T), gain
 
 
 class Motion:
@@ -24,7 +73,8 @@ class Motion:
 
     The prior it gives leaves the common shift, turn and scale of the face to the
     measurement and holds the rest of its shape softly, so that a corner or a side
-    that is hidden follows the visible ones.
+    that is hidden follows the visible ones. Where a picture does not tell it anew, it is
+    remembered how well the shape and its change are known (a Kalman filter).
     """
 
     def __init__(self) -> None:
@@ -37,39 +87,77 @@ class Motion:
         self._steady: np.ndarray | None = None  # where constant velocity leads
         self._prior: Prior | None = None
         self._surprise_px = FIRST_SURPRISE_PX
+        self._spread: Spread | None = None  # of the last corners, if one is doubtful
+        self._ahead: tuple[Spread, np.ndarray] | None = None  # of the prior, and its velocity
 
     def period(self, stamp_s: float) -> float:
         """Give the time since the last measurement [s]; the usual one after a clock jump."""
         elapsed_s = stamp_s - self._stamp_s
         return elapsed_s if 0.0 < elapsed_s < LARGEST_PAUSE_S else self._period_s
 
-    def measured(self, corners: np.ndarray, stamp_s: float) -> None:
-        """Take in a trusted measurement."""
-        if self._prior is not None:
+    def measured(self, corners: np.ndarray, covariance: np.ndarray, stamp_s: float) -> None:
+        """Take in trusted corners (m, 2) and their covariance (2 m, 2 m)."""
+        doubtful = max(covariance.diagonal().tolist()) \
+            > DOUBTFUL * (SURPRISES * self._surprise_px) ** 2
+        if self._prior is not None and not doubtful:
             self._learn(corners, self._prior)
+        spread: Spread | None = None
         if self.corners is not None:
-            self._period_s = self.period(stamp_s)
-            velocity = (corners - self.corners) / self._period_s
+            period_s = self._period_s = self.period(stamp_s)
+            if self._ahead is not None and self._prior is not None:
+                (ahead, velocity), moved = self._ahead, corners - self._prior.corners
+                spread, gain = ahead.told(covariance)
+                velocity = velocity + (gain @ moved.ravel()).reshape(corners.shape)
+            else:  # all of the shift is news
+                velocity = (corners - self.corners) / period_s
+                if doubtful:
+                    spread = Spread(covariance, covariance / period_s, covariance / period_s ** 2)
             self._change = None if self._velocity is None else velocity - self._velocity
             self._velocity = velocity
+        self._spread = spread if doubtful else None
+        self._prior = self._ahead = None
         self.corners, self._stamp_s = corners, stamp_s
 
     def predict(self, stamp_s: float) -> Prior:
         """Give the corners expected at a time, and their prior."""
         if self.corners is None:
             raise ValueError('nothing has been measured yet')
-        expected = self.corners
+        expected, period_s = self.corners, self.period(stamp_s)
         if self._velocity is not None:
-            expected = self._steady = expected + self._velocity * self.period(stamp_s)
-        if self._change is not None and self._changed > 0.0:
-            change = self.period(stamp_s) * self._change
-            # A jump is a change that nobody has seen before: it will not come again.
-            usual = USUAL_CHANGES * math.sqrt(
-                self._changed / max(float(np.vdot(change, change)), 1e-12))
-            share = min(max(self._repeated / self._changed, LEAST_REPEATED), 1.0)
-            expected = expected + share * min(usual, 1.0) * change
+            expected = self._steady = expected + self._velocity * period_s
+        change = self._likely_change(period_s)
+        if self._spread is not None:
+            self._prior = self._remembering(self._spread, expected, change, period_s)
+            return self._prior
+        self._ahead = None
+        if change is not None:
+            expected = expected + change
         self._prior = shape_prior(expected, SURPRISES * self._surprise_px)
         return self._prior
+
+    def _likely_change(self, period_s: float) -> np.ndarray | None:
+        """Give how far the velocity's last change shifts the corners if it comes again."""
+        if self._change is None or self._changed <= 0.0:
+            return None
+        change = period_s * self._change
+        # A jump is a change that nobody has seen before: it will not come again.
+        usual = USUAL_CHANGES * math.sqrt(
+            self._changed / max(float(np.vdot(change, change)), 1e-12))
+        share = min(max(self._repeated / self._changed, LEAST_REPEATED), 1.0)
+        return share * min(usual, 1.0) * change
+
+    def _remembering(self, spread: Spread, steady: np.ndarray, change: np.ndarray | None,
+                     period_s: float) -> Prior:
+        """Hold the shape by what it usually changes and by how well it has been known."""
+        free = similarity_basis(steady)
+        velocity, expected = required(self._velocity, 'velocity'), steady
+        if change is not None:  # what pictures have told of it
+            common = (free @ (free.T @ change.ravel())).reshape(steady.shape)
+            velocity, expected = velocity + common / period_s, expected + common
+        ahead = spread.ahead(period_s, self._surprise_px ** 2 * _unit(steady.size)
+                             + FREE_SIGMA_PX ** 2 * (free @ free.T))
+        self._ahead = ahead, velocity
+        return Prior(expected, np.linalg.inv(ahead.corners), free)
 
     def _learn(self, corners: np.ndarray, prior: Prior) -> None:
         """Learn how well the shape is predicted; large surprises count at once."""
@@ -85,7 +173,6 @@ class Motion:
             new = (corners - self._steady).ravel()
             self._repeated += FORGET * (float(expected @ new) - self._repeated)
             self._changed += FORGET * (float(expected @ expected) - self._changed)
-        self._prior = None
 
 
 def shape_prior(corners: np.ndarray, shape_sigma_px: float) -> Prior:

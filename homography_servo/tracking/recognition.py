@@ -44,11 +44,12 @@ class Recognition:
             Whether all of its sides are in view; what hides one is not its looks.
 
         """
-        self._light_since *= self._background.light(image)
-        self._background.remember(image, silhouette_px)
         if clear or not self._looks.known:
             self._looks.remember(image, corners_px)
             self._light_since = 1.0
+        else:
+            self._light_since *= self._background.light(image)
+        self._background.remember(image, silhouette_px)
 
     def doubt(self, image: np.ndarray, corners_px: np.ndarray) -> str:
         """Say why what has these corners (4, 2) is not the face; empty if it may be."""

@@ -213,6 +213,19 @@ def test_nothing_to_see_is_refused_with_a_reason():
     assert 'inside the image' in fit_snake(flat, SHAPE - 900.0, Look(0.8, 4)).reason
 
 
+def test_pixels_that_lie_off_the_edge_tell_nothing_and_do_no_harm():
+    rng = np.random.default_rng(1)
+    corners = quad(rng)
+    scan = read_scan(picture(corners, rng), corners, IDEAL, 4)
+    wider = corners + 0.3
+    wider[1:3] += 0.4 * (corners[1] - corners[0])
+    with np.errstate(all='raise', under='ignore'):
+        edges = measure_edges(scan, wider, edge_profile(0.8))
+    off = edges.side == 1
+    assert np.isfinite(edges.inward).all()
+    assert edges.variance[off].min() > 1.0 > edges.variance[~off].max()
+
+
 @pytest.mark.parametrize('blur', [0.7, 1.0, 2.0])
 def test_blur_is_learnt(blur):
     rng = np.random.default_rng(6)
