@@ -126,7 +126,8 @@ def test_the_chain_measures_every_image_once(probe, start_node):
     start_node('robix_bridge', robot_file=ROBOT, port='fake')
     start_node('camera_sim', robot_file=ROBOT)
     probe.wait(lambda: len(poses) >= 30, 'no poses')
-    assert states['snake_tracker'][-1].data == 'TRACKING' and states['visual_servo']
+    probe.wait(lambda: all(states.values()), 'a node does not tell its state')
+    assert states['snake_tracker'][-1].data == 'TRACKING'
     for messages in (corners, poses):
         stamps = [stamp_text(msg.header.stamp) for msg in messages]
         assert len(set(stamps)) == len(stamps)
