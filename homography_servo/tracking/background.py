@@ -134,11 +134,11 @@ class Background:
 
 def _differ(now: np.ndarray, then: np.ndarray, known: np.ndarray, corners_px: np.ndarray) -> bool:
     """Look at a few pixels between the corners first: mostly that is enough to tell."""
-    u, v = np.rint(corners_px.T @ FEW.T).astype(int)
-    at = v.clip(0, now.shape[0] - 1), u.clip(0, now.shape[1] - 1)
-    grey, seen = now[at].astype(float), known[at] > 0
-    other = np.abs(grey - then[at]) > OTHER_GREY + OTHER_SHARE * grey
-    return bool(np.count_nonzero(other & seen) > OTHER_MOST * np.count_nonzero(seen))
+    at = (FEW @ corners_px).astype(np.float32)[:, None]
+    grey, before, seen = [cv2.remap(picture, at, None, cv2.INTER_NEAREST, None,
+                                    cv2.BORDER_REPLICATE) for picture in (now, then, known)]
+    other = cv2.absdiff(grey, before) > OTHER_GREY + OTHER_SHARE * grey
+    return bool(np.count_nonzero(other & (seen > 0)) > OTHER_MOST * np.count_nonzero(seen))
 
 
 def _around(points_px: np.ndarray, shape: tuple[int, ...]

@@ -13,10 +13,12 @@ from homography_servo.tracking.motion import similarity_basis
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import Prior
 from homography_servo.tracking.polygon_fit import SnakeFit
+from homography_servo.tracking.quality import SEEN_SIDE
 from homography_servo.tracking.tracker_settings import TrackerSettings
 import numpy as np
 
 OTHER_SIZE = 0.25  # relative change of size from one picture to the next
+FARTHEST_SIGMAS = 6.0  # from where it was expected to where a side may be that no edge shows
 SETTLED_PX = 0.5  # largest last step of a fit that has found its place
 
 
@@ -31,10 +33,14 @@ def weak_support(fit: SnakeFit, settings: TrackerSettings) -> str:
         return 'fewer than three sides are visible'
     if fit.moved_px > SETTLED_PX:
         return f'the fit has not settled: it moves by {fit.moved_px:.1f} px'
-    sigma_px = corner_sigma_px(fit)
-    if sigma_px > settings.max_corner_sigma_px:
-        return f'a corner is uncertain by {sigma_px:.2f} px'
     return ''
+
+
+def vagueness(fit: SnakeFit, settings: TrackerSettings) -> str:
+    """Say of a fit that may be right how uncertain it is, if it is too much so."""
+    sigma_px = corner_sigma_px(fit)
+    return f'a corner is uncertain by {sigma_px:.2f} px' \
+        if sigma_px > settings.max_corner_sigma_px else ''
 
 
 def corner_sigma_px(fit: SnakeFit) -> float:
@@ -71,12 +77,22 @@ def surprise(fit: SnakeFit, prior: Prior, settings: TrackerSettings, following: 
         return f'the shape changed by {bend_px:.1f} px at once'
     if not following:
         return ''
+    if fit.judged.least_side_share <= SEEN_SIDE \
+            and move @ prior.information @ move > FARTHEST_SIGMAS ** 2:
+        return 'a side that is not seen would be far from where it was expected'
     right, down, larger, _ = common.tolist()
     if abs(larger) > OTHER_SIZE * abs(float(free[:, 2] @ prior.corners.ravel())):
         return 'the size changed at once'
     if max(abs(right), abs(down)) > 2.0 * settings.search_px:
         return 'the face jumped'
     return ''
+
+
+def contradiction(fit: SnakeFit, vague: SnakeFit) -> str:
+    """Say whether a fit is where another, that is too uncertain to be told, cannot be."""
+    apart = (fit.corners - vague.corners).ravel()
+    return 'another fit is uncertain, but cannot be as far away as this one' \
+        if apart @ vague.information @ apart > FARTHEST_SIGMAS ** 2 else ''
 
 
 class FaceCheck:

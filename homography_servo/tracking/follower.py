@@ -8,8 +8,10 @@ from homography_servo.tracking.box import BoxSides
 from homography_servo.tracking.detection.box_fit import held_by_box
 from homography_servo.tracking.detection.box_views import box_points
 from homography_servo.tracking.detection.outlook import smoothed
+from homography_servo.tracking.doubts import contradiction
 from homography_servo.tracking.doubts import FaceCheck
 from homography_servo.tracking.doubts import surprise
+from homography_servo.tracking.doubts import vagueness
 from homography_servo.tracking.doubts import weak_support
 from homography_servo.tracking.face_shape import FaceShape
 from homography_servo.tracking.focus import first_focus
@@ -36,7 +38,6 @@ WIDE = (Look(4.0, 12, 3, 3, 3, 2.0, 1.0, 2.0), Look(2.0, 8, 3, 3, 3, 2.0, 0.5, 1
 MEDIUM = WIDE[1:]
 GIVEN_SHAPE_SIGMA_PX = 4.0  # of corners that a person, the arm or a rough look gives
 FOCUS_HALF = 8  # pixels around the edges for a first look at the blur
-CLEAR_SIDE = 0.9  # share of its lines that makes a side clear
 SELDOM = 4  # one picture in so many bears what need not be done in each
 REFOCUS_EVERY, REFOCUS_FIRST, KEY_EVERY = 3 * SELDOM, 10, 3 * SELDOM  # pictures
 MOST_ROUNDS = 6  # of a first fit, until it is sure
@@ -96,6 +97,7 @@ class Follower:
     def forget(self) -> None:
         """Stop following; what the face looks like stays known."""
         self._motion: Motion | None = None
+        self._vague: SnakeFit | None = None  # could be the face, but a corner is too uncertain
         self._memory: LevelMemory | None = None
         self._shape.forget()
         self._forget_pose()
@@ -123,7 +125,7 @@ class Follower:
         SnakeFit or Rejected
 
         """
-        prior = required(self._motion, 'face to follow').predict(stamp_s)
+        prior, self._vague = required(self._motion, 'face to follow').predict(stamp_s), None
         fit = self._by_print(image, prior.corners, prior) if self._print.needed \
             else self._fine(image, prior)
         if fit:
@@ -133,14 +135,37 @@ class Follower:
         given = None if given_px is None else self._plane.from_image(given_px)
         for corners in (located, given):
             if not fit and corners is not None and not self._print.needed:
-                fit = self._near(image, Prior(corners, prior.information), MEDIUM)
+                fit = self._beside(image, Prior(corners, prior.information))
         for corners in (prior.corners, located):
             if not fit and corners is not None:
                 fit = self._by_print(image, corners, prior)
         told = None if fit else self._told_by_box(image, prior.corners)
         if told is not None:
             fit = self._fine(image, both(prior, told))
-        return fit or why
+        if not fit or (self._vague is not None and contradiction(fit, self._vague)):
+            return why
+        self._vague = None
+        return fit
+
+    def _beside(self, image: np.ndarray, expected: Prior) -> SnakeFit | Rejected:
+        """Look where the whole face may have gone; it may look no other there than expected."""
+        fit = self._near(image, expected, MEDIUM)
+        if isinstance(fit, Rejected):
+            return fit
+        doubt = surprise(fit, expected, self.settings, self.following)
+        return Rejected(doubt) if doubt else fit
+
+    def stay(self, stamp_s: float) -> bool:
+        """Keep to the face where the last picture was only too vague; tell whether it was."""
+        if self._vague is None:
+            return False
+        self._moved(self._vague, stamp_s)
+        return True
+
+    def _moved(self, fit: SnakeFit, stamp_s: float) -> None:
+        """Learn where the face is, and of corners that no edge shows how well that is known."""
+        covariance = fit.covariance if fit.judged.clear else fit.told_by_pictures
+        required(self._motion, 'face to follow').measured(fit.corners, covariance, stamp_s)
 
     def capture(self, image: np.ndarray, prior: Prior, told: bool = False) -> SnakeFit | Rejected:
         """
@@ -204,7 +229,8 @@ class Follower:
             begun = (again.strips is None) != (fit.strips is None)  # to look at the sides
             steady = float(np.abs(again.corners - fit.corners).max()) < STEADY_PX
             before, fit = fit, again
-            if not begun and not weak_support(fit, self.settings):
+            if not begun and not (weak_support(fit, self.settings)
+                                  or vagueness(fit, self.settings)):
                 break
         far_px = float(np.abs(fit.corners - first.corners).max())
         if far_px > self.settings.edge_half_px:  # edges that the first fit has not seen
@@ -225,7 +251,7 @@ class Follower:
         """Learn from a fit that is trusted."""
         if self._motion is None:
             self._motion = Motion()
-        self._motion.measured(fit.corners, fit.covariance, stamp_s)
+        self._moved(fit, stamp_s)
         self._accepted += 1
         self._unlearnt += 1
         if fit.edges.second is not None or self._accepted % SELDOM == 1:
@@ -275,10 +301,16 @@ class Follower:
         """Doubt a fit that was found with a prior."""
         settings, following = self.settings, self.following
         doubt = weak_support(fit, settings) or surprise(fit, prior, settings, following)
-        if not doubt and (fit.judged.least_side_share <= CLEAR_SIDE
-                          or self._accepted % SELDOM == 0):
+        if not doubt and (not fit.judged.clear or self._accepted % SELDOM == 0):
             doubt = self._face.doubt(fit.corners, settings) or self._elsewhere(image, fit)
-        return Rejected(doubt) if doubt else fit
+        if doubt:
+            return Rejected(doubt)
+        vague = vagueness(fit, settings)
+        if not vague:
+            return fit
+        if following and self._vague is None:  # the first is held by what is known best
+            self._vague = fit
+        return Rejected(vague)
 
     def _elsewhere(self, image: np.ndarray, fit: SnakeFit) -> str:
         """Compare with how the face looked where a side shows no edge; it may be hidden."""
@@ -298,5 +330,6 @@ class Follower:
         held = prior if rigid is None else both(prior, rigid)
         look = Look(blur_px, half, done_sigmas=DONE_SIGMAS,
                     round_px=ROUND_PX if self.following else 1)
-        return fit_snake(image, prior.corners, look, self._plane, held,
-                         POLARITIES[self.settings.polarity], strips, self._memory)
+        fit = fit_snake(image, prior.corners, look, self._plane, held,
+                        POLARITIES[self.settings.polarity], strips, self._memory)
+        return fit if isinstance(fit, Rejected) else fit._replace(shape=rigid)

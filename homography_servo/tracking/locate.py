@@ -8,6 +8,7 @@ expected corners, and compared with what was seen there before.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -17,6 +18,15 @@ MARGIN_PX = 9.0  # of the surroundings that belong to the view
 LEAST_SIDE = 4  # samples
 LIKE = 0.6  # correlation of the right place
 NEARBY_PX, APART_PX = 12.0, 4.0  # search for the face beside edges that may not be its own
+CLEARLY = 2.0  # times as much must be unlike the view here as there
+
+
+class _Best(NamedTuple):
+    """Where a view looks most alike."""
+
+    shift: np.ndarray  # (2,) [px]
+    like: float  # correlation there
+    like_here: float  # and without a shift
 
 
 class Locator:
@@ -53,23 +63,28 @@ class Locator:
             The corners shifted to the best place, None where nothing looks alike.
 
         """
+        best = self._best(image, corners, search_px)
+        return None if best is None or not best.like > LIKE else corners + best.shift
+
+    def beside(self, image: np.ndarray, corners: np.ndarray) -> bool:
+        """Tell whether the face looks to be near by rather than at these corners [px]."""
+        best = self._best(image, corners, NEARBY_PX)
+        return best is not None and best.like > LIKE \
+            and 1.0 - best.like_here > CLEARLY * (1.0 - best.like) \
+            and not np.abs(best.shift).max() < APART_PX
+
+    def _best(self, image: np.ndarray, corners: np.ndarray, search_px: float) -> _Best | None:
+        """Compare with the view at all shifts that are no farther than to be searched."""
         if self._view is None:
             return None
         extra = math.ceil(search_px / GRID_PX)
         scene = _sample(image, corners, self._grid, extra)
         match = cv2.matchTemplate(scene, self._view, cv2.TM_CCOEFF_NORMED)
         _, best, _, (column, row) = cv2.minMaxLoc(match)
-        if not best > LIKE:
-            return None
         (_, *across), (_, *down) = _axes(corners.tolist())
         shift = (column - extra) * GRID_PX * np.array(across) \
             + (row - extra) * GRID_PX * np.array(down)
-        return corners + shift
-
-    def beside(self, image: np.ndarray, corners: np.ndarray) -> bool:
-        """Tell whether the face looks to be near by rather than at these corners [px]."""
-        found = self.locate(image, corners, NEARBY_PX)
-        return found is not None and not np.abs(found - corners).max() < APART_PX
+        return _Best(shift, best, float(match[extra, extra]))
 
 
 def _axes(corners: list[list[float]]) -> list[tuple[float, float, float]]:

@@ -53,6 +53,7 @@ class SnakeFit(NamedTuple):
 
     corners: np.ndarray  # (m, 2) [px]
     covariance: np.ndarray  # (2m, 2m) [px^2]
+    information: np.ndarray  # (2m, 2m) [1/px^2], its inverse
     edges: Edges
     weight: np.ndarray  # (s,) 0 outlier .. 1 inlier
     miss: np.ndarray  # (s,) distance of the segments from the shape [px]
@@ -62,11 +63,21 @@ class SnakeFit(NamedTuple):
     scan: Scan | None = None  # the pixels it was fitted to
     strips: Strips | None = None  # the sides of the box that were expected
     by_print: bool = False  # whether the print on the face was needed
+    shape: Prior | None = None  # the part of the prior that is the same for every picture
 
     @property
     def judged(self) -> Quality:
         """Give the quality, which every fit has that `fit_snake` gives."""
         return required(self.quality, 'quality of the fit')
+
+    @property
+    def told_by_pictures(self) -> np.ndarray:
+        """Give the covariance (2m, 2m) [px^2] without the shape, which every fit may use once."""
+        if self.shape is None:
+            return self.covariance
+        determined, covariance = cv2.invert(self.information - self.shape.information,
+                                            flags=cv2.DECOMP_CHOLESKY)
+        return covariance if determined else self.covariance
 
 
 def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Prior | None,
@@ -123,8 +134,8 @@ def fit_polygon(edges: Edges, corners: np.ndarray, usable: np.ndarray, prior: Pr
         before, miss = miss, inward - shift @ rows
         if float(np.maximum.reduce(np.maximum(np.abs(before), np.abs(miss)))) < look.sure_px:
             break  # weights would hardly change
-    return SnakeFit(corners + shift.reshape(corners.shape), covariance, edges, weight, miss,
-                    shift, max(map(abs, shift.tolist())))
+    return SnakeFit(corners + shift.reshape(corners.shape), covariance, information, edges,
+                    weight, miss, shift, max(map(abs, shift.tolist())))
 
 
 def _variance(edges: Edges, miss: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from homography_servo.result import Rejected
 from homography_servo.tracking.doubts import FaceCheck
 from homography_servo.tracking.doubts import surprise
+from homography_servo.tracking.doubts import vagueness
 from homography_servo.tracking.plane import Plane
 from homography_servo.tracking.polygon_fit import Look
 from homography_servo.tracking.polygon_fit import Prior
@@ -100,5 +101,5 @@ class PrintFollower:
         if isinstance(fit, Rejected):
             return fit
         doubt = surprise(fit, expected, settings, following) \
-            or self._face.doubt(fit.corners, settings)
+            or self._face.doubt(fit.corners, settings) or vagueness(fit, settings)
         return Rejected(doubt) if doubt else fit._replace(by_print=True)

@@ -11,6 +11,7 @@ import numpy as np
 
 INLIER_WEIGHT = 0.1
 SEEN_SIDE, SIDES_NEEDED = 0.3, 3  # share of its lines that makes a side seen
+CLEAR_SIDE = 0.9  # share of its lines that makes a side clear: nothing hides it
 NOISE_FLOOR = 0.3  # mean squared grey level; rounding alone gives 1/12
 QUIET_SHARE, QUIET_SIGMAS = 0.25, 0.674  # the lower quartile, and how far below the mean it is
 
@@ -60,6 +61,11 @@ class Quality:
     def least_side_share(self) -> float:
         """Give the share of the side whose lines agree the least."""
         return min(self._side_share)
+
+    @property
+    def clear(self) -> bool:
+        """Tell whether nothing hides a part of the edges."""
+        return self.least_side_share > CLEAR_SIDE
 
     @cached_property
     def side_share(self) -> np.ndarray:

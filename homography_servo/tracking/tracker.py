@@ -25,7 +25,7 @@ import numpy as np
 SEARCHING, TRACKING, COASTING, LOST = 'SEARCHING', 'TRACKING', 'COASTING', 'LOST'
 REMEMBER_EVERY = 12  # pictures: what the face and its background look like changes slowly
 DOUBT_EVERY = 2  # pictures: no more than one shows the background in place of the face
-CLEAR_SIDE = 0.9  # share of its lines that agree: nothing hides it
+STAY_S = 3.0  # for which a face is kept to with a side that nothing shows
 FARTHEST = 10.0  # times the size of the picture: what is said to be farther out is nonsense
 
 
@@ -152,16 +152,13 @@ class Tracker:
         if not self._follower.following:
             return self._search(image, stamp_s, given_px)
         fit = self._follower.follow(image, stamp_s, given_px)
-        if not isinstance(fit, Rejected) and self._left_behind(image, fit):
-            fit = Rejected('the face went on, and left the background where it was looked for')
         if isinstance(fit, Rejected):
             return self._missing(fit, stamp_s)
-        return self._seen(image, fit, stamp_s)
-
-    def _left_behind(self, image: np.ndarray, fit: SnakeFit) -> bool:
-        """Tell whether the background is followed in place of the face."""
-        return self._confirmed % DOUBT_EVERY == 0 \
-            and self._recognition.behind(image, self._plane.to_image(fit.corners))
+        shown = self._plane.to_image_with_covariance(fit.corners, fit.covariance)
+        if self._confirmed % DOUBT_EVERY == 0 and self._recognition.behind(image, shown[0]):
+            return self._missing(Rejected('the face went on, and left the background where it '
+                                          'was looked for'), stamp_s)
+        return self._seen(image, fit, shown, stamp_s)
 
     def _checked(self, grey: np.ndarray) -> np.ndarray:
         if grey.ndim != 2 or grey.dtype != np.uint8 or not grey.size:
@@ -203,7 +200,8 @@ class Tracker:
         if isinstance(fit, Rejected):
             return self._missing(Rejected(search.doubts[0]) if search.doubts else fit, stamp_s)
         self._confirmed = self._settings.confirming_frames - 1 if sure else 0
-        return self._seen(image, fit, stamp_s)
+        return self._seen(image, fit, self._plane.to_image_with_covariance(
+            fit.corners, fit.covariance), stamp_s)
 
     def _target(self) -> Target:
         settings = self._settings
@@ -211,7 +209,9 @@ class Tracker:
                       settings.farthest_m, POLARITIES[settings.polarity],
                       self._follower.blur_px)
 
-    def _seen(self, image: np.ndarray, fit: SnakeFit, stamp_s: float) -> Track:
+    def _seen(self, image: np.ndarray, fit: SnakeFit, shown: tuple[np.ndarray, np.ndarray],
+              stamp_s: float) -> Track:
+        """Take in a fit that is trusted; `shown` are its corners and covariance in the image."""
         self._follower.accept(image, fit, stamp_s)
         self._confirmed += 1
         self._missed, self._good_s = 0, stamp_s
@@ -219,30 +219,31 @@ class Tracker:
             return Track(self._state, None, None, None, fit.quality,
                          'found, not yet confirmed')
         self._state = TRACKING
-        self._last_px, covariance_px2 = self._plane.to_image_with_covariance(
-            fit.corners, fit.covariance)
+        self._last_px, covariance_px2 = shown
         if (self._confirmed - self._settings.confirming_frames) % REMEMBER_EVERY == 0:
             self._recognition.remember(image, self._last_px,
                                        self._follower.silhouette_px(fit.corners),
-                                       fit.judged.least_side_share > CLEAR_SIDE)
+                                       fit.judged.clear)
         return Track(TRACKING, self._last_px, covariance_px2,
                      partial(_contour, self._spline, self._plane, fit.corners), fit.quality, '')
 
     def _missing(self, why: Rejected, stamp_s: float) -> Track:
         self._missed += 1
         settings, since_s = self._settings, stamp_s - self._good_s
+        stays = self._follower.stay(stamp_s)
         if self._state in (TRACKING, COASTING) and self._missed <= settings.coasting_frames \
                 and since_s <= settings.coasting_s:
             self._state = COASTING
         else:
-            self._lose()
+            self._lose(stays and since_s < STAY_S and self._state != SEARCHING)
         return Track(self._state, None, None, None, None, why.reason)
 
-    def _lose(self) -> None:
-        """Give the face up; one that was never confirmed is simply not found yet."""
+    def _lose(self, stays: bool = False) -> None:
+        """Give the face up, or only its corners; one never confirmed is simply not found yet."""
         if self._state != SEARCHING:
             self._state, self._was_lost = LOST, True
-        self._follower.forget()
+        if not stays:
+            self._follower.forget()
         self._confirmed = 0
 
 

@@ -29,9 +29,10 @@ def view(angles, size_m=SIZE_M, place_m=(0.02, -0.05, 0.7)):
 def fitted(prior, measured):
     """Give the best corners where prior and a measurement with noise are all there is."""
     own = np.eye(8) / NOISE_PX ** 2
-    covariance = np.linalg.inv(own + prior.information)
+    information = own + prior.information
+    covariance = np.linalg.inv(information)
     corners = covariance @ (own @ measured.ravel() + prior.information @ prior.corners.ravel())
-    return SnakeFit(corners.reshape(4, 2), covariance, None, None, None, None, 0.0)
+    return SnakeFit(corners.reshape(4, 2), covariance, information, None, None, None, None, 0.0)
 
 
 @pytest.mark.parametrize('angles', [(0, 0, 0), (30, -20, 70), (-50, 10, 200), (5, 60, -130)])

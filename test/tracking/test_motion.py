@@ -1,21 +1,12 @@
 """What is known of corners that no edge shows lessens from picture to picture, and no faster."""
 
-from face_views import CAMERA
-from face_views import FACE_M
 from face_views import RATE_HZ
-from face_views import told
-from homography_servo.experiments.tracker_cases import Motion as Course
-from homography_servo.simulation.scene import Scene
-from homography_servo.simulation.scene_settings import SceneSettings
 from homography_servo.tracking.motion import LEAST_SURPRISE_PX
 from homography_servo.tracking.motion import Motion
 from homography_servo.tracking.motion import similarity_basis
 from homography_servo.tracking.motion import Spread
 from homography_servo.tracking.motion import SURPRISES
-from homography_servo.tracking.tracker import Tracker
-from homography_servo.tracking.tracker import TRACKING
 import numpy as np
-import pytest
 
 SQUARE = np.array([[100.0, 100.0], [200.0, 100.0], [200.0, 160.0], [100.0, 160.0]])
 
@@ -109,26 +100,3 @@ def test_doubtful_corners_move_as_a_kalman_filter_says(monkeypatch):
         state = state + gain @ (truth + sigma_px * rng.normal(size=8) - state[:8])
         joint = joint - gain @ joint[:8]
         motion.measured(state[:8].reshape(4, 2), joint[:8, :8], index * period_s)
-
-
-@pytest.mark.parametrize('side, tilt_deg, speed_px',
-                         [(2, 40.0, 3.0), (2, 15.0, 10.0), (1, 15.0, 3.0)])
-def test_a_side_that_is_hidden_for_long_is_where_its_covariance_says(side, tilt_deg, speed_px):
-    course, hidden_s = Course(tilt_deg=tilt_deg, speed_px=speed_px), 2.0
-    scene = Scene(CAMERA, FACE_M, 0.0, SceneSettings(
-        noise_grey=5.0, occluder='side', occluder_index=side, occluder_start_s=1.0,
-        occluder_duration_s=hidden_s))
-    tracker = Tracker(FACE_M, told(scene.corners(course.pose(0.0))), CAMERA)
-    squares, errors_px = [], []
-    for index in range(int((1.0 + hidden_s) * RATE_HZ)):
-        time_s = index / RATE_HZ
-        frame = scene.render(course.pose(time_s), time_s, index)
-        track = tracker.update(frame.image_grey, time_s)
-        assert track.state == TRACKING, track.reason
-        error = (track.corners_px - frame.true_corners_px).ravel()
-        squares.append(error @ np.linalg.solve(track.covariance_px2, error) / error.size)
-        errors_px.append(error)
-    assert np.mean(squares[30:]) < 1.5
-    assert np.abs(errors_px).max() < 1.5
-    others = np.array(errors_px)[30:].reshape(-1, 4, 2)[:, [side - 1, side - 2]]
-    assert np.sqrt(np.mean(np.square(others))) < 0.05

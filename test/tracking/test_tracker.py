@@ -46,6 +46,14 @@ def test_corners_are_followed_in_every_world(name):
     assert errors.max() < most_px
 
 
+def test_print_does_not_make_up_for_corners_that_are_too_uncertain():
+    show = Show(SceneSettings(print_contrast=100.0))
+    assert set(show.run(40)) == {TRACKING}
+    show.tracker.settings = replace(show.tracker.settings, max_corner_sigma_px=0.01)
+    track = show.tracker.update(show.frame(40).image_grey, 40 / RATE_HZ)
+    assert track.state == COASTING and 'uncertain' in track.reason
+
+
 def test_twenty_pixels_per_picture_are_kept():
     def motion(index):  # about 20 px per picture at the fastest
         phase = 2.0 * np.pi * index / 40.0

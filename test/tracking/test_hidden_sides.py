@@ -1,0 +1,121 @@
+"""A side that is hidden is where its covariance says, or nothing is said of it."""
+
+import cv2
+from face_views import CAMERA
+from face_views import FACE_M
+from face_views import RATE_HZ
+from face_views import told
+from homography_servo.experiments.tracker_cases import Motion
+from homography_servo.experiments.tracker_cases import ROUND_TRIP
+from homography_servo.simulation.scene import Scene
+from homography_servo.simulation.scene_settings import SceneSettings
+from homography_servo.tracking.doubts import contradiction
+from homography_servo.tracking.locate import Locator
+from homography_servo.tracking.polygon_fit import Prior
+from homography_servo.tracking.polygon_fit import SnakeFit
+from homography_servo.tracking.tracker import LOST
+from homography_servo.tracking.tracker import Tracker
+from homography_servo.tracking.tracker import TRACKING
+import numpy as np
+import pytest
+
+TILTED = Motion(tilt_deg=40.0)
+SIDEWAYS = Motion(speed_px=10.0)
+FAST = Motion(speed_px=13.0, slowness=0.4)
+SQUARE = np.array([[100.0, 100.0], [200.0, 100.0], [200.0, 160.0], [100.0, 160.0]])
+
+
+class Hidden:
+    """A side is hidden after a second: what a tracker says, and how far it is off."""
+
+    def __init__(self, side, motion, hidden_s, seed=0, height_m=0.0):
+        scene = Scene(CAMERA, FACE_M, height_m, SceneSettings(
+            noise_grey=5.0, occluder='side', occluder_index=side, occluder_start_s=1.0,
+            occluder_duration_s=hidden_s, shadow=0.5 if height_m else 0.0), seed)
+        tracker = Tracker(FACE_M, told(scene.corners(motion.pose(0.0))), CAMERA, height_m)
+        tracks, errors_px, squares = [], [], []
+        for index in range(int((1.3 + hidden_s) * RATE_HZ)):
+            time_s = index / RATE_HZ
+            frame = scene.render(motion.pose(time_s), time_s, index)
+            tracks.append(track := tracker.update(frame.image_grey, time_s))
+            if track.corners_px is None:
+                continue
+            error = (track.corners_px - frame.true_corners_px).ravel()
+            errors_px.append(error)
+            squares.append(error @ np.linalg.solve(track.covariance_px2, error) / error.size)
+        self.states, self.reasons = ({getattr(track, name) for track in tracks}
+                                     for name in ('state', 'reason'))
+        self.last = tracks[-1].state
+        self.errors_px, self.squares = np.array(errors_px), np.array(squares)
+
+
+@pytest.mark.parametrize('side, motion', [(2, TILTED), (2, SIDEWAYS), (1, Motion()), (3, FAST)])
+def test_a_side_that_is_hidden_for_long_is_where_its_covariance_says(side, motion):
+    hidden = Hidden(side, motion, 2.0)
+    assert LOST not in hidden.states
+    assert hidden.squares[30:].mean() < 1.2 and hidden.squares.max() < 6.0
+    assert np.abs(hidden.errors_px).max() < 2.0
+    others = hidden.errors_px[30:85].reshape(-1, 4, 2)[:, [side - 1, side - 2]]
+    assert np.sqrt(np.mean(np.square(others))) < 0.05
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_what_is_too_uncertain_to_be_told_is_kept_to(seed):
+    """Seen far from the front, three sides do not tell where the fourth is."""
+    hidden = Hidden(1, TILTED, 2.0, seed)
+    assert LOST in hidden.states
+    assert any('uncertain' in reason for reason in hidden.reasons)
+    assert hidden.squares.mean() < 1.2 and hidden.squares.max() < 6.0
+    assert hidden.last == TRACKING and np.abs(hidden.errors_px[-1]).max() < 0.1
+
+
+@pytest.mark.parametrize('motion, seed', [(TILTED, 1), (ROUND_TRIP, 1), (FAST, 0)])
+@pytest.mark.parametrize('side', range(4))
+def test_the_side_of_a_box_that_is_hidden_is_not_taken_for_what_hides_it(side, motion, seed):
+    hidden = Hidden(side, motion, 20.0 / RATE_HZ, seed, height_m=0.04)
+    assert np.abs(hidden.errors_px).max() < 5.0
+    assert hidden.last == TRACKING and np.abs(hidden.errors_px[-1]).max() < 0.3
+
+
+def test_a_face_with_a_hidden_side_does_not_change_its_shape_where_it_may_have_gone():
+    hidden = Hidden(3, SIDEWAYS, 2.0, height_m=0.04)  # by the edge of what hides it, nearly
+    assert np.mean(np.abs(hidden.errors_px).max(axis=1) > 5.0) < 0.1
+
+
+def square_fit(sigma_px, moved_px=0.0):
+    """Fit a square whose corners are known so well; the last one has moved to the right."""
+    corners = SQUARE.copy()
+    corners[3, 0] += moved_px
+    variance = np.square(sigma_px)
+    return SnakeFit(corners, np.diag(variance), np.diag(1.0 / variance), None, None, None, None,
+                    0.0)
+
+
+def test_the_shape_tells_a_corner_once_and_not_from_picture_to_picture():
+    pictures = square_fit([0.02] * 6 + [3.0] * 2)
+    shape = Prior(SQUARE, np.eye(8) / 0.5 ** 2)
+    together = pictures.information + shape.information
+    fit = pictures._replace(covariance=np.linalg.inv(together), information=together, shape=shape)
+    assert np.allclose(fit.told_by_pictures, pictures.covariance)
+    alone = fit._replace(information=shape.information)  # pictures that tell nothing
+    assert np.array_equal(alone.told_by_pictures, fit.covariance)
+    assert np.array_equal(fit._replace(shape=None).told_by_pictures, fit.covariance)
+
+
+def test_a_fit_must_agree_with_an_uncertain_one_within_what_that_leaves_open():
+    vague = square_fit([0.02] * 6 + [2.0] * 2)
+    sharp = [0.02] * 8
+    assert not contradiction(square_fit(sharp, 10.0), vague)
+    assert contradiction(square_fit(sharp, 15.0), vague)
+
+
+def test_the_face_is_beside_only_where_it_looks_clearly_more_alike():
+    rng = np.random.default_rng(0)
+    image = cv2.GaussianBlur(rng.uniform(0.0, 255.0, (260, 300)).astype(np.uint8), (0, 0), 4.0)
+    image = cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX)
+    locator = Locator()
+    locator.remember(image, SQUARE)
+    assert locator.beside(image, SQUARE + [6.0, 0.0])
+    assert not locator.beside(image, SQUARE + [3.0, 0.0])
+    ghost = cv2.addWeighted(image, 0.52, np.roll(image, 6, axis=1), 0.48, 0.0)
+    assert not locator.beside(ghost, SQUARE) and not locator.beside(ghost, SQUARE + [6.0, 0.0])
