@@ -127,6 +127,19 @@ class FaceShape:
         self._asked = prior, slopes
         return prior
 
+    def miss_px(self, corners: np.ndarray) -> float:
+        """
+        Give the RMS by which corners (4, 2) miss the shape that was asked for last.
+
+        To first order it is that by which they miss a view of a face of this shape.
+        """
+        if self._asked is None:
+            return math.inf
+        prior, _ = self._asked
+        missed = (corners - prior.corners).ravel()
+        return math.sqrt(self._variance * max(float(missed @ prior.information @ missed), 0.0)
+                         / len(missed))
+
     def learn(self, fit: SnakeFit) -> None:
         """Compare a trusted fit with the prior that it used."""
         if self._asked is None:

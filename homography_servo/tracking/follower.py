@@ -38,6 +38,7 @@ WIDE = (Look(4.0, 12, 3, 3, 3, 2.0, 1.0, 2.0), Look(2.0, 8, 3, 3, 3, 2.0, 0.5, 1
 MEDIUM = WIDE[1:]
 GIVEN_SHAPE_SIGMA_PX = 4.0  # of corners that a person, the arm or a rough look gives
 FOCUS_HALF = 8  # pixels around the edges for a first look at the blur
+KNOWN_PX = 0.5  # a face that misses the shape it has shown by less is no other quadrilateral
 SELDOM = 4  # one picture in so many bears what need not be done in each
 REFOCUS_EVERY, REFOCUS_FIRST, KEY_EVERY = 3 * SELDOM, 10, 3 * SELDOM  # pictures
 MOST_ROUNDS = 6  # of a first fit, until it is sure
@@ -301,8 +302,11 @@ class Follower:
         """Doubt a fit that was found with a prior."""
         settings, following = self.settings, self.following
         doubt = weak_support(fit, settings) or surprise(fit, prior, settings, following)
-        if not doubt and (not fit.judged.clear or self._accepted % SELDOM == 0):
-            doubt = self._face.doubt(fit.corners, settings) or self._elsewhere(image, fit)
+        often = self._accepted % SELDOM > 0
+        if not (doubt or often and fit.judged.clear):
+            known = often and self._shape.miss_px(fit.corners) < KNOWN_PX
+            doubt = '' if known else self._face.doubt(fit.corners, settings)
+            doubt = doubt or self._elsewhere(image, fit)
         if doubt:
             return Rejected(doubt)
         vague = vagueness(fit, settings)

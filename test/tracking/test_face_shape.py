@@ -5,6 +5,7 @@ import math
 from homography_servo.geometry.camera import Camera
 from homography_servo.geometry.face import face_corners
 from homography_servo.result import Rejected
+from homography_servo.tracking.face_pose import pose_of_face
 from homography_servo.tracking.face_shape import angle_and_ratio
 from homography_servo.tracking.face_shape import FaceShape
 from homography_servo.tracking.face_shape import LEAST_SIGMA_PX
@@ -69,6 +70,20 @@ def test_prior_holds_the_shape_and_leaves_the_pose_free():
     assert np.linalg.matrix_rank(prior.information, 1e-6) == 2
     shape_px = math.sqrt(moved @ prior.information @ moved / np.abs(prior.information).max())
     assert shape_px < 0.01 * np.linalg.norm(moved)
+
+
+def test_corners_miss_the_shape_by_what_they_miss_a_view_of_the_face():
+    rng, shape = np.random.default_rng(4), FaceShape(SIZE_M, PLANE)
+    points_m = face_corners(*SIZE_M)
+    assert shape.miss_px(PLANE.from_rays(view((0, 0, 0)))) == math.inf  # nobody has asked
+    for angles in ((20, -15, 30), (-40, 25, 110)):
+        expected = PLANE.from_rays(view(angles))
+        shape.prior(expected)
+        for corners in expected + rng.normal(0.0, 0.3, (5, 4, 2)):
+            pose = pose_of_face(points_m, PLANE.rays(corners))
+            missed_px = float(PLANE.rms_px(pose.miss))
+            assert shape.miss_px(corners) == pytest.approx(missed_px, rel=0.1, abs=0.01)
+    assert shape.miss_px(expected) < 1e-6
 
 
 @pytest.mark.parametrize('error_m', [0.0, 0.002])
