@@ -255,7 +255,8 @@ class Follower:
         self._moved(fit, stamp_s)
         self._accepted += 1
         self._unlearnt += 1
-        if fit.edges.second is not None or self._accepted % SELDOM == 1:
+        posed = fit.judged.least_side_share > SEEN_SIDE  # else strips are not known to be so wide
+        if posed and (fit.edges.second is not None or self._accepted % SELDOM == 1):
             self._learn_sides(fit, self._unlearnt)
             self._unlearnt = 0
         if self._accepted % SELDOM == 1:

@@ -85,6 +85,13 @@ def test_the_side_of_a_box_that_is_hidden_is_not_taken_for_what_hides_it(side, m
     assert hidden.last == TRACKING and np.abs(hidden.errors_px[-1]).max() < 0.3
 
 
+@pytest.mark.parametrize('seed', range(3))
+def test_a_side_of_the_box_that_comes_into_view_meanwhile_does_not_drag_the_hidden_one(seed):
+    hidden = Hidden(3, SIDEWAYS, 2.0, seed, height_m=0.04)
+    assert np.abs(hidden.errors_px).max() < 5.0
+    assert hidden.last == TRACKING and np.abs(hidden.errors_px[-1]).max() < 0.7
+
+
 def square_fit(sigma_px, moved_px=0.0):
     """Fit a square whose corners are known so well; the last one has moved to the right."""
     corners = SQUARE.copy()
