@@ -7,6 +7,8 @@ however much it looks like it.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 from homography_servo.tracking.detection.segments import shrunk
 from homography_servo.tracking.rectified import rectified_view
@@ -29,13 +31,24 @@ FEW, FEW_PIXELS = spread_inside(5), np.s_[4::8, 4::8]
 KNOWN = 255
 
 
+class Past(NamedTuple):
+    """A picture without the face."""
+
+    picture: np.ndarray  # (H, W) uint8
+    known: np.ndarray  # (H, W) uint8, KNOWN where it has been seen, else 0
+
+
 class Background:
     """Keeps, for each pixel, how it looked when the face was last followed elsewhere."""
 
     def __init__(self) -> None:
-        self._picture: np.ndarray | None = None
-        self._known: np.ndarray | None = None  # pixels that have been seen, as 0 or KNOWN
-        self._complete = False  # all have
+        self._last: Past | None = None
+        self._complete = False  # all of it has been seen
+
+    def _past(self, image: np.ndarray) -> Past | None:
+        """Give what has been seen, if in pictures of this size."""
+        return None if self._last is None or self._last.picture.shape != image.shape \
+            else self._last
 
     def remember(self, image: np.ndarray, silhouette_px: np.ndarray) -> None:
         """
@@ -49,27 +62,29 @@ class Background:
             Points between which the object is in it.
 
         """
-        if self._picture is None or self._known is None or self._picture.shape != image.shape:
-            self._picture, self._known = np.zeros_like(image), np.zeros_like(image)
+        past = self._past(image)
+        if past is None:
+            past = self._last = Past(np.zeros_like(image), np.zeros_like(image))
             self._complete = False
         place, free = _around(silhouette_px, image.shape)
-        covered = np.where(free, image[place], self._picture[place])
-        self._picture[:] = image
-        self._picture[place] = covered
+        covered = np.where(free, image[place], past.picture[place])
+        past.picture[:] = image
+        past.picture[place] = covered
         if not self._complete:
-            covered = np.where(free, KNOWN, self._known[place])
-            self._known[:] = KNOWN
-            self._known[place] = covered
+            covered = np.where(free, KNOWN, past.known[place])
+            past.known[:] = KNOWN
+            past.known[place] = covered
             self._complete = bool((covered == KNOWN).all())
 
     def light(self, image: np.ndarray) -> float:
         """Give how much brighter it has become; 1 if nothing is known."""
-        if self._picture is None or self._known is None or self._picture.shape != image.shape:
+        past = self._past(image)
+        if past is None:
             return 1.0
-        seen = self._known[FEW_PIXELS] > 0
+        seen = past.known[FEW_PIXELS] > 0
         if not seen.any():
             return 1.0
-        now, then = (picture[FEW_PIXELS][seen] + 1.0 for picture in (image, self._picture))
+        now, then = (picture[FEW_PIXELS][seen] + 1.0 for picture in (image, past.picture))
         return float(np.median(now / then))  # most of them show what they did
 
     def news(self, image: np.ndarray) -> np.ndarray | None:
@@ -88,12 +103,13 @@ class Background:
             nothing is known.
 
         """
-        if self._picture is None or self._known is None or self._picture.shape != image.shape:
+        past = self._past(image)
+        if past is None:
             return None
-        then = cv2.convertScaleAbs(shrunk(self._picture), None, self.light(image))
+        then = cv2.convertScaleAbs(shrunk(past.picture), None, self.light(image))
         most = cv2.max(cv2.convertScaleAbs(then, None, SAME_SHARE), SAME_GREY)
         new = cv2.compare(cv2.absdiff(shrunk(image), then), most, cv2.CMP_GT)
-        new |= cv2.compare(shrunk(self._known), KNOWN, cv2.CMP_LT)
+        new |= cv2.compare(shrunk(past.known), KNOWN, cv2.CMP_LT)
         return cv2.dilate(cv2.medianBlur(new, 3), NEAR)
 
     def shows(self, image: np.ndarray, corners_px: np.ndarray) -> bool:
@@ -113,12 +129,13 @@ class Background:
             False also where nothing is known of the place.
 
         """
-        if self._picture is None or self._known is None or self._picture.shape != image.shape:
+        past = self._past(image)
+        if past is None:
             return False
-        if _differ(image, self._picture, self._known, corners_px):
+        if _differ(image, past, corners_px):
             return False
         known, now, then = (rectified_view(picture, corners_px, GRID, -MARGIN)
-                            for picture in (self._known, image, self._picture))
+                            for picture in (past.known, image, past.picture))
         seen = known > KNOWN - 1
         if seen[INSIDE].mean() < LEAST_KNOWN:
             return False
@@ -132,11 +149,11 @@ class Background:
         return bool(spread > FLAT_GREY ** 2 and likeness > ALIKE * spread)
 
 
-def _differ(now: np.ndarray, then: np.ndarray, known: np.ndarray, corners_px: np.ndarray) -> bool:
+def _differ(image: np.ndarray, past: Past, corners_px: np.ndarray) -> bool:
     """Look at a few pixels between the corners first: mostly that is enough to tell."""
     at = (FEW @ corners_px).astype(np.float32)[:, None]
     grey, before, seen = [cv2.remap(picture, at, None, cv2.INTER_NEAREST, None,
-                                    cv2.BORDER_REPLICATE) for picture in (now, then, known)]
+                                    cv2.BORDER_REPLICATE) for picture in (image, *past)]
     other = cv2.absdiff(grey, before) > OTHER_GREY + OTHER_SHARE * grey
     return bool(np.count_nonzero(other & (seen > 0)) > OTHER_MOST * np.count_nonzero(seen))
 

@@ -77,8 +77,7 @@ def surprise(fit: SnakeFit, prior: Prior, settings: TrackerSettings, following: 
         return f'the shape changed by {bend_px:.1f} px at once'
     if not following:
         return ''
-    if fit.judged.least_side_share <= SEEN_SIDE \
-            and move @ prior.information @ move > FARTHEST_SIGMAS ** 2:
+    if fit.judged.least_side_share <= SEEN_SIDE and _too_far(move, prior.information):
         return 'a side that is not seen would be far from where it was expected'
     right, down, larger, _ = common.tolist()
     if abs(larger) > OTHER_SIZE * abs(float(free[:, 2] @ prior.corners.ravel())):
@@ -88,11 +87,13 @@ def surprise(fit: SnakeFit, prior: Prior, settings: TrackerSettings, following: 
     return ''
 
 
-def contradiction(fit: SnakeFit, vague: SnakeFit) -> str:
-    """Say whether a fit is where another, that is too uncertain to be told, cannot be."""
-    apart = (fit.corners - vague.corners).ravel()
-    return 'another fit is uncertain, but cannot be as far away as this one' \
-        if apart @ vague.information @ apart > FARTHEST_SIGMAS ** 2 else ''
+def contradicts(fit: SnakeFit, vague: SnakeFit) -> bool:
+    """Tell whether a fit is where another, that is too uncertain to be told, cannot be."""
+    return _too_far((fit.corners - vague.corners).ravel(), vague.information)
+
+
+def _too_far(move: np.ndarray, information: np.ndarray) -> bool:
+    return bool(move @ information @ move > FARTHEST_SIGMAS ** 2)
 
 
 class FaceCheck:

@@ -8,7 +8,7 @@ from homography_servo.tracking.box import BoxSides
 from homography_servo.tracking.detection.box_fit import held_by_box
 from homography_servo.tracking.detection.box_views import box_points
 from homography_servo.tracking.detection.outlook import smoothed
-from homography_servo.tracking.doubts import contradiction
+from homography_servo.tracking.doubts import contradicts
 from homography_servo.tracking.doubts import FaceCheck
 from homography_servo.tracking.doubts import surprise
 from homography_servo.tracking.doubts import vagueness
@@ -38,7 +38,7 @@ WIDE = (Look(4.0, 12, 3, 3, 3, 2.0, 1.0, 2.0), Look(2.0, 8, 3, 3, 3, 2.0, 0.5, 1
 MEDIUM = WIDE[1:]
 GIVEN_SHAPE_SIGMA_PX = 4.0  # of corners that a person, the arm or a rough look gives
 FOCUS_HALF = 8  # pixels around the edges for a first look at the blur
-KNOWN_PX = 0.5  # a face that misses the shape it has shown by less is no other quadrilateral
+SMALL_MISS = 1.0 / 3.0  # of what may be missed: so near its known shape it is still the face
 SELDOM = 4  # one picture in so many bears what need not be done in each
 REFOCUS_EVERY, REFOCUS_FIRST, KEY_EVERY = 3 * SELDOM, 10, 3 * SELDOM  # pictures
 MOST_ROUNDS = 6  # of a first fit, until it is sure
@@ -143,7 +143,7 @@ class Follower:
         told = None if fit else self._told_by_box(image, prior.corners)
         if told is not None:
             fit = self._fine(image, both(prior, told))
-        if not fit or (self._vague is not None and contradiction(fit, self._vague)):
+        if not fit or (self._vague is not None and contradicts(fit, self._vague)):
             return why
         self._vague = None
         return fit
@@ -153,7 +153,7 @@ class Follower:
         fit = self._near(image, expected, MEDIUM)
         if isinstance(fit, Rejected):
             return fit
-        doubt = surprise(fit, expected, self.settings, self.following)
+        doubt = surprise(fit, expected, self.settings, True)
         return Rejected(doubt) if doubt else fit
 
     def stay(self, stamp_s: float) -> bool:
@@ -303,10 +303,11 @@ class Follower:
         """Doubt a fit that was found with a prior."""
         settings, following = self.settings, self.following
         doubt = weak_support(fit, settings) or surprise(fit, prior, settings, following)
-        often = self._accepted % SELDOM > 0
-        if not (doubt or often and fit.judged.clear):
-            known = often and self._shape.miss_px(fit.corners) < KNOWN_PX
-            doubt = '' if known else self._face.doubt(fit.corners, settings)
+        seldom = self._accepted % SELDOM == 0
+        if not doubt and (seldom or not fit.judged.clear):
+            small_px = SMALL_MISS * settings.max_shape_miss_px
+            if seldom or self._shape.miss_px(fit.corners) > small_px:
+                doubt = self._face.doubt(fit.corners, settings)
             doubt = doubt or self._elsewhere(image, fit)
         if doubt:
             return Rejected(doubt)

@@ -15,6 +15,7 @@ CAMERA = Camera(800.0, 800.0, 319.5, 239.5, 640, 480)
 BENT = replace(CAMERA, distortion_model='plumb_bob', distortion=(-0.25, 0.0, 0.0, 0.0, 0.0))
 FACE_M = (0.10, 0.06)
 RATE_HZ = 30.0
+SQUARE = np.array([[100.0, 100.0], [200.0, 100.0], [200.0, 160.0], [100.0, 160.0]])
 
 
 def pose(x=0.0, y=0.0, z=0.75, tilt_x=0.0, tilt_y=0.0, turn=0.0):

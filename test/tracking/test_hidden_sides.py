@@ -1,18 +1,20 @@
 """A side that is hidden is where its covariance says, or nothing is said of it."""
 
+import math
 from types import SimpleNamespace
 
 import cv2
 from face_views import CAMERA
 from face_views import FACE_M
 from face_views import RATE_HZ
+from face_views import SQUARE
 from face_views import told
 from homography_servo.experiments.tracker_cases import Motion
 from homography_servo.experiments.tracker_cases import ROUND_TRIP
 from homography_servo.result import Rejected
 from homography_servo.simulation.scene import Scene
 from homography_servo.simulation.scene_settings import SceneSettings
-from homography_servo.tracking.doubts import contradiction
+from homography_servo.tracking.doubts import contradicts
 from homography_servo.tracking.doubts import surprise
 from homography_servo.tracking.follower import Follower
 from homography_servo.tracking.locate import Locator
@@ -30,7 +32,8 @@ import pytest
 TILTED = Motion(tilt_deg=40.0)
 SIDEWAYS = Motion(speed_px=10.0)
 FAST = Motion(speed_px=13.0, slowness=0.4)
-SQUARE = np.array([[100.0, 100.0], [200.0, 100.0], [200.0, 160.0], [100.0, 160.0]])
+SHARP = [0.02] * 8  # deviations of well known corners [px]
+AROUND_SQUARE = Prior(SQUARE, np.eye(8) / 0.3 ** 2)
 
 
 class Hidden:
@@ -114,13 +117,8 @@ def test_the_shape_tells_a_corner_once_and_not_from_picture_to_picture():
 
 def test_a_fit_must_agree_with_an_uncertain_one_within_what_that_leaves_open():
     vague = square_fit([0.02] * 6 + [2.0] * 2)
-    sharp = [0.02] * 8
-    assert not contradiction(square_fit(sharp, 10.0), vague)
-    assert contradiction(square_fit(sharp, 15.0), vague)
-
-
-SHARP = [0.02] * 8
-AROUND_SQUARE = Prior(SQUARE, np.eye(8) / 0.3 ** 2)
+    assert not contradicts(square_fit(SHARP, 10.0), vague)
+    assert contradicts(square_fit(SHARP, 15.0), vague)
 
 
 @pytest.mark.parametrize('moved_px, share, doubted',
@@ -140,14 +138,33 @@ def test_a_face_that_may_have_gone_is_of_the_same_shape_and_not_excluded(monkeyp
     follower._motion = motion = MotionModel()
     motion.measured(SQUARE, 0.02 ** 2 * np.eye(8), 0.0)
 
+    vague = None if vague_px is None else square_fit([0.02] * 6 + [vague_px] * 2)._replace(
+        quality=SimpleNamespace(clear=False))
+
     def fine(image, prior):
-        follower._vague = None if vague_px is None else square_fit([0.02] * 6 + [vague_px] * 2)
+        follower._vague = vague
         return Rejected('not here, or not sure')
 
     monkeypatch.setattr(follower, '_fine', fine)
     monkeypatch.setattr(follower, '_near', lambda image, prior, looks: fit)
     followed = follower.follow(np.zeros((480, 640), np.uint8), 1.0 / RATE_HZ, SQUARE)
     assert bool(followed) is found
+    assert follower.stay(1.0 / RATE_HZ) is (vague is not None and not found)
+
+
+@pytest.mark.parametrize('miss_px, accepted, doubted', [
+    (0.45, 1, False), (0.55, 1, True), (math.inf, 1, True), (0.45, 4, True)])
+def test_what_is_hidden_in_part_and_of_another_shape_is_compared_with_the_face(
+        monkeypatch, miss_px, accepted, doubted):
+    quality = SimpleNamespace(contrast=100.0, inlier_share=0.8, enough_sides=True, clear=False,
+                              least_side_share=0.5)
+    follower = Follower(TrackerSettings(), Plane(CAMERA), FACE_M, 0.0)
+    follower._accepted = accepted
+    monkeypatch.setattr(follower._shape, 'miss_px', lambda corners: miss_px)
+    monkeypatch.setattr(follower._face, 'doubt', lambda corners, settings: 'no view of the face')
+    fit = square_fit(SHARP)._replace(quality=quality)
+    trusted = follower._trusted(np.zeros((480, 640), np.uint8), fit, AROUND_SQUARE)
+    assert isinstance(trusted, Rejected) is doubted
 
 
 def test_the_face_is_beside_only_where_it_looks_clearly_more_alike():

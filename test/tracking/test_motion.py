@@ -1,14 +1,13 @@
 """What is known of corners that no edge shows lessens from picture to picture, and no faster."""
 
 from face_views import RATE_HZ
+from face_views import SQUARE
 from homography_servo.tracking.motion import LEAST_SURPRISE_PX
 from homography_servo.tracking.motion import Motion
 from homography_servo.tracking.motion import similarity_basis
 from homography_servo.tracking.motion import Spread
 from homography_servo.tracking.motion import SURPRISES
 import numpy as np
-
-SQUARE = np.array([[100.0, 100.0], [200.0, 100.0], [200.0, 160.0], [100.0, 160.0]])
 
 
 def random_covariance(rng, size):

@@ -14,6 +14,7 @@ from face_views import Show
 from face_views import swing
 from face_views import told
 from homography_servo.geometry.camera import Camera
+from homography_servo.result import Rejected
 from homography_servo.simulation.scene import Scene
 from homography_servo.simulation.scene_settings import SceneSettings
 from homography_servo.tracking.tracker import COASTING
@@ -52,6 +53,42 @@ def test_print_does_not_make_up_for_corners_that_are_too_uncertain():
     show.tracker.settings = replace(show.tracker.settings, max_corner_sigma_px=0.01)
     track = show.tracker.update(show.frame(40).image_grey, 40 / RATE_HZ)
     assert track.state == COASTING and 'uncertain' in track.reason
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('far_px', [2e4, 1e10, 1e200, np.inf, np.nan])
+def test_corners_that_are_expected_out_of_this_world_are_ignored(far_px):
+    show = Show(camera=BENT)
+    show.tracker = Tracker(FACE_M, TrackerSettings(), BENT)
+    nowhere = np.full((4, 2), far_px)
+    nowhere[1:3] *= 1.1
+    states = [show.tracker.update(show.frame(index).image_grey, index / RATE_HZ, nowhere).state
+              for index in range(6)]
+    assert states[-1] == TRACKING
+
+
+@pytest.mark.parametrize('after_s, kept', [(2.9, True), (3.1, False)])
+def test_a_face_that_stays_too_uncertain_is_kept_to_for_three_seconds(monkeypatch, after_s, kept):
+    show = Show()
+    show.run(10)
+    follower = show.tracker._follower
+    monkeypatch.setattr(follower, 'follow', lambda *_: Rejected('too uncertain'))
+    monkeypatch.setattr(follower, 'stay', lambda stamp_s: True)
+    blank = np.zeros((480, 640), np.uint8)
+    for time_s in (9 / RATE_HZ + 1.0, 9 / RATE_HZ + after_s):
+        assert show.tracker.update(blank, time_s).state == LOST
+    assert follower.following is kept
+
+
+def test_a_face_that_was_never_confirmed_is_not_kept_to(monkeypatch):
+    show = Show()
+    show.tracker = Tracker(FACE_M, TrackerSettings(), CAMERA)
+    follower = show.tracker._follower
+    assert show.run(1) == [SEARCHING] and follower.following
+    monkeypatch.setattr(follower, 'follow', lambda *_: Rejected('too uncertain'))
+    monkeypatch.setattr(follower, 'stay', lambda stamp_s: True)
+    assert show.tracker.update(show.frame(1).image_grey, 1.0 / RATE_HZ).state == SEARCHING
+    assert not follower.following
 
 
 def test_twenty_pixels_per_picture_are_kept():
